@@ -1,0 +1,237 @@
+"""From the 15 points of an OpenNI skeleton to the 12 DoFs of a posture and back, without guessing what was not seen.
+
+The construction is P1's (facts: iros2013, section 1, "Kinect -> 12 values"): pelvis below the torso point, yaw from the
+hips, lean from the neck, twist from the left shoulder, then the right arm from elbow and hand, seen from where the
+MODEL's right shoulder is after that torso. Three things follow from it: the forearm keeps the model's length (the
+tracker's is discarded), the upper arm takes the tracker's length (rArmTrans), and the points head, right_shoulder,
+left_elbow, left_hand, knees and feet do not enter.
+
+P1's formulas for the arm take the bones of the zero pose to lie exactly on the y axis. The model's lie up to 1 degree
+off it, so here the same constraints are solved on the model itself and points made from a posture give that posture
+back. On P1's libraries the two differ by about 0.015 rad, and by up to 0.11 rad in rShoulderY near a straight elbow.
+
+Not determined by the points, and reported as missing rather than invented:
+- rShoulderY when the elbow is straight (nothing shows how the upper arm is rolled);
+- rShoulderX and rShoulderY when the upper arm lies along the torso's x axis (they turn about the same line).
+Two branches give the same points; the one returned has rShoulderZ within 90 degrees and an elbow that bends forwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from humanpred_ros.checks import FloatArray, checked
+from humanpred_ros.errors import HumanModelError
+from humanpred_ros.human.kinect_result import Findings, KinectPosture, KinectPostures
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.human.rotations import frame_of, rotate_back, rotation, wrapped
+
+#: Each skeleton point, in the order trackers deliver them, and the model's link whose origin it is.
+LINK_OF_POINT = MappingProxyType(
+    {
+        "head": "head", "neck": "neck", "torso": "kinect_torso",
+        "left_shoulder": "kinect_left_shoulder", "left_elbow": "left_elbow", "left_hand": "left_palm",
+        "right_shoulder": "right_shoulder", "right_elbow": "right_elbow", "right_hand": "right_palm",
+        "left_hip": "left_hip", "left_knee": "left_knee", "left_foot": "left_foot",
+        "right_hip": "right_hip", "right_knee": "right_knee", "right_foot": "right_foot",
+    }
+)  # fmt: skip
+
+#: The DoFs of P1's human, in the order of its libraries' columns.
+KINECT12_DOFS = (
+    "PelvisTransX", "PelvisTransY", "PelvisTransZ", "PelvisRotZ", "TorsoX", "TorsoY", "TorsoZ",
+    "rShoulderX", "rShoulderZ", "rShoulderY", "rArmTrans", "rElbowZ",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class KinectConfig:
+    """What still counts as a person.
+
+    Attributes:
+        bone_ratio: shortest and longest believable bone, as a share of the model's.
+        arm_trans_m: believable rArmTrans; P1's libraries hold -0.06 to 0.22 m without the marked outliers.
+        straight_elbow_rad: elbows straighter than this do not show the roll of the upper arm (a hand seen 2 cm off
+            turns it by about 90 degrees here).
+        aligned_arm_rad: upper arms closer than this to the torso's x axis do not show rShoulderX.
+    """
+
+    bone_ratio: tuple[float, float] = (0.5, 1.6)
+    arm_trans_m: tuple[float, float] = (-0.1, 0.25)
+    straight_elbow_rad: float = 0.05
+    aligned_arm_rad: float = 0.02
+
+
+class KinectSkeleton:
+    """Converts between skeleton points and postures of P1's 12-DoF human.
+
+    Args:
+        model: a model with the 12 DoFs and the links of `LINK_OF_POINT`; P1's if left out.
+        config: what counts as a person.
+
+    Raises:
+        HumanModelError: another set of DoFs, or links that are lacking.
+    """
+
+    def __init__(self, model: HumanModel | None = None, config: KinectConfig = KinectConfig()) -> None:
+        self.model = model or HumanModel.kinect12()
+        self.config = config
+        self.model.check_dofs(KINECT12_DOFS)
+        lacking = sorted(set(LINK_OF_POINT.values()) - set(self.model.link_names))
+        if lacking:
+            raise HumanModelError(
+                f"Kinect skeleton: model {self.model.name} lacks the links {', '.join(lacking)}; add them to its URDF"
+            )
+        zero = self.model.forward(np.zeros(len(KINECT12_DOFS)))
+        self._pelvis_below_m = zero["kinect_torso"] - zero["pelvis"]
+        self._torso_m = zero["torso"] - zero["pelvis"]
+        self._neck_m = zero["neck"] - zero["torso"]
+        self._left_shoulder_m = zero["kinect_left_shoulder"] - zero["torso"]
+        self._right_shoulder_m = zero["right_shoulder"] - zero["torso"]
+        self._upper_arm_m = zero["right_elbow"] - zero["right_shoulder"]
+        self._forearm_m = zero["right_palm"] - zero["right_elbow"]
+        self._hips_m = zero["left_hip"] - zero["right_hip"]
+
+    def points(self, q: ArrayLike) -> FloatArray:
+        """Return the points (T, 15, 3) a tracker would see of postures (T, 12); (15, 3) for one posture (12,)."""
+        places = self.model.forward(q)
+        return np.stack([places[link] for link in LINK_OF_POINT.values()], axis=-2)
+
+    def posture(self, points_m: ArrayLike) -> KinectPosture:
+        """Return the posture of points (15, 3), NaN where lost; see `postures`."""
+        return self.postures(checked("points_m", points_m, (len(LINK_OF_POINT), 3), finite=False)[None])[0]
+
+    def postures(self, points_m: ArrayLike) -> KinectPostures:
+        """Return the postures of points (T, 15, 3) in the tracker's frame, z up.
+
+        A point with a coordinate that is not finite counts as lost. Angles are within +-pi and not unwrapped. Without
+        a usable hand rShoulderX and rShoulderZ still follow from the elbow: those of an unrolled upper arm, which put
+        the elbow where it was seen (by how much they differ: 0.015 rad / cos(rShoulderZ) at most).
+
+        Raises:
+            ArrayError: another shape.
+        """
+        points = checked("points_m", points_m, ("T", len(LINK_OF_POINT), 3), finite=False)
+        points = np.where(np.isfinite(points).all(axis=-1, keepdims=True), points, np.nan)
+        seen = {name: points[:, i] for i, name in enumerate(LINK_OF_POINT)}
+        found = Findings(len(points), self.model)
+        # NaN stands for lost all the way down, and zero lengths are reported as such: no warnings wanted.
+        with np.errstate(invalid="ignore", divide="ignore"):
+            pelvis = self._pelvis(seen, found)
+            R_torso, torso = self._torso(seen, pelvis, found)
+            self._right_arm(seen, R_torso, torso, found)
+        return found.result()
+
+    def _pelvis(self, seen: Mapping[str, FloatArray], found: Findings) -> FloatArray:
+        """Find the pelvis; return its position (T, 3)."""
+        pelvis = seen["torso"] - self._pelvis_below_m  # straight below, so that no yaw is needed
+        place = {f"PelvisTrans{axis}": pelvis[:, i] for i, axis in enumerate("XYZ")}
+        found.put(place, points=_only(seen, "torso"))
+        to_left = seen["left_hip"] - seen["right_hip"]
+        yaw = wrapped(np.arctan2(to_left[:, 1], to_left[:, 0]) - np.pi / 2)
+        found.put({"PelvisRotZ": yaw}, points=_only(seen, "left_hip", "right_hip"))
+        self._check_bone(found, "between the hips", to_left, self._hips_m, ("PelvisRotZ",))
+        across = seen["left_shoulder"] - seen["neck"]
+        found.doubt(
+            (to_left[:, :2] * across[:, :2]).sum(axis=1) < 0,
+            ("PelvisRotZ",),
+            "hips and shoulders face opposite ways: left and right are swapped in one of them",
+        )
+        return pelvis
+
+    def _torso(
+        self, seen: Mapping[str, FloatArray], pelvis: FloatArray, found: Findings
+    ) -> tuple[FloatArray, FloatArray]:
+        """Find the torso's angles; return its rotation (T, 3, 3) and origin (T, 3)."""
+        R_pelvis = rotation("z", found["PelvisRotZ"])
+        torso = pelvis + R_pelvis @ self._torso_m
+        n = rotate_back(R_pelvis, seen["neck"] - torso)
+        lean = {
+            "TorsoX": np.arctan2(-n[:, 1], n[:, 2]),
+            "TorsoY": np.arctan2(n[:, 0], np.hypot(n[:, 1], n[:, 2])),
+        }
+        found.put(lean, points=_only(seen, "neck"), after=("PelvisTransX", "PelvisRotZ"))
+        self._check_bone(found, "from torso to neck", n, self._neck_m, tuple(lean))
+
+        R_lean = R_pelvis @ rotation("x", found["TorsoX"]) @ rotation("y", found["TorsoY"])
+        left = rotate_back(R_lean, seen["left_shoulder"] - torso)
+        twist = {"TorsoZ": np.arctan2(-left[:, 0], left[:, 1])}
+        found.put(twist, points=_only(seen, "left_shoulder"), after=("TorsoX", "TorsoY"))
+        self._check_bone(found, "from torso to left shoulder", left, self._left_shoulder_m, tuple(twist))
+        return R_lean @ rotation("z", found["TorsoZ"]), torso
+
+    def _right_arm(
+        self, seen: Mapping[str, FloatArray], R_torso: FloatArray, torso: FloatArray, found: Findings
+    ) -> None:
+        """Find the right arm's DoFs from the model's shoulder, the elbow and the direction to the hand."""
+        config, (ux, uy, uz) = self.config, self._upper_arm_m
+        e = rotate_back(R_torso, seen["right_elbow"] - torso) - self._right_shoulder_m
+        h = rotate_back(R_torso, seen["right_hand"] - seen["right_elbow"])
+        # The elbow slides along the upper arm's -y; its offsets along x and z stay.
+        length = np.sqrt(np.maximum((e**2).sum(axis=1) - ux**2 - uz**2, 0.0))
+        upper = np.stack([np.full_like(length, ux), -length, np.full_like(length, uz)], axis=1)
+        bend, straight = self._elbow(upper, e, h)
+        fore = rotation("z", bend) @ self._forearm_m
+        sX, sZ, sY = _shoulder_angles(frame_of(e, h) @ np.swapaxes(frame_of(upper, fore), 1, 2))
+        unrolled = straight | np.isnan(sY)
+        sX_alone, sZ_alone = _shoulder_angles_of_elbow(upper, e)
+        arm = {
+            "rShoulderX": np.where(unrolled, sX_alone, sX),
+            "rShoulderZ": np.where(unrolled, sZ_alone, sZ),
+            "rArmTrans": length + uy,
+        }
+        hand = {"rShoulderY": sY, "rElbowZ": bend}
+        found.lose(straight, ("rShoulderY",), "the elbow is straight, which leaves the upper arm's roll open")
+        aligned = np.hypot(e[:, 1], e[:, 2]) < config.aligned_arm_rad * np.linalg.norm(e, axis=1)
+        found.lose(aligned, ("rShoulderX", "rShoulderY"), "the upper arm lies along the torso's x axis")
+        found.put(arm, points=_only(seen, "right_elbow"), after=("TorsoZ",))
+        found.put(hand, points=_only(seen, "right_elbow", "right_hand"), after=("TorsoZ",))
+        low, high = config.arm_trans_m
+        wrong = (arm["rArmTrans"] < low) | (arm["rArmTrans"] > high)
+        found.doubt(
+            wrong, (*arm, *hand), f"rArmTrans is {{:.3f}} m, believable are {low} to {high} m", arm["rArmTrans"]
+        )
+        self._check_bone(found, "from right elbow to hand", h, self._forearm_m, tuple(hand))
+
+    def _elbow(self, upper: FloatArray, e: FloatArray, h: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return rElbowZ (T,) for which the model's arm has the observed angle, and where it is straight."""
+        fx, fy, fz = self._forearm_m
+        # (upper arm) . Rz(bend) (forearm) = A cos(bend) + B sin(bend) + uz fz must equal the observed scalar product.
+        A = upper[:, 0] * fx + upper[:, 1] * fy
+        B = upper[:, 1] * fx - upper[:, 0] * fy
+        cosine = (e * h).sum(axis=1) / np.linalg.norm(e, axis=1) / np.linalg.norm(h, axis=1)
+        wanted = cosine * np.linalg.norm(upper, axis=1) * np.linalg.norm(self._forearm_m) - upper[:, 2] * fz
+        opening = np.arccos(np.clip(wanted / np.hypot(A, B), -1.0, 1.0))
+        return np.arctan2(B, A) + opening, opening < self.config.straight_elbow_rad
+
+    def _check_bone(
+        self, found: Findings, bone: str, measured: FloatArray, model: FloatArray, dofs: tuple[str, ...]
+    ) -> None:
+        length = np.linalg.norm(measured, axis=1)
+        low, high = (ratio * float(np.linalg.norm(model)) for ratio in self.config.bone_ratio)
+        reason = f"{{:.3f}} m {bone}, believable are {low:.3f} to {high:.3f} m"
+        found.doubt((length < low) | (length > high), dofs, reason, length)
+
+
+def _only(seen: Mapping[str, FloatArray], *names: str) -> dict[str, FloatArray]:
+    return {name: seen[name] for name in names}
+
+
+def _shoulder_angles(R: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return rShoulderX, Z, Y (T,) of R = Rx(sX) Rz(sZ) Ry(-sY) (T, 3, 3), with sZ within 90 degrees."""
+    sX = np.arctan2(R[:, 2, 1], R[:, 1, 1])
+    sZ = np.arctan2(-R[:, 0, 1], np.hypot(R[:, 1, 1], R[:, 2, 1]))
+    return sX, sZ, np.arctan2(-R[:, 0, 2], R[:, 0, 0])
+
+
+def _shoulder_angles_of_elbow(upper: FloatArray, e: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return rShoulderX, Z (T,) that put the elbow at `e` (T, 3) for an unrolled upper arm (sY = 0)."""
+    inward = -np.sqrt(np.maximum(e[:, 1] ** 2 + e[:, 2] ** 2 - upper[:, 2] ** 2, 0.0))
+    sX = np.arctan2(e[:, 2], e[:, 1]) - np.arctan2(upper[:, 2], inward)
+    sZ = np.arctan2(inward, e[:, 0]) - np.arctan2(upper[:, 1], upper[:, 0])
+    return wrapped(sX), wrapped(sZ)

@@ -1,0 +1,182 @@
+"""A motion is a timed sequence of postures; a library is a labelled set of motions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from humanpred_ros.checks import FloatArray, checked, frozen
+from humanpred_ros.errors import LibraryFormatError, MotionError, UsageError
+from humanpred_ros.human.kinect import LINK_OF_POINT
+
+#: The 15 skeleton points an OpenNI tracker delivers, in the order of `Motion.points_m`.
+SKELETON_POINTS = tuple(LINK_OF_POINT)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One recorded motion: immutable.
+
+    Attributes:
+        t_s: (T,) seconds since the motion's start, strictly increasing, whole nanoseconds.
+        q: (T, D) postures, metres and radians, in the order of `dof_names`.
+        dof_names: D names.
+        label: class of the motion (a goal place), or None when unlabelled.
+        index: number of the motion within its class.
+        frame_id: frame in which pelvis and points are expressed.
+        points_m: (T, 15, 3) skeleton points in `frame_id`, NaN where the sensor lost one; None if not recorded.
+
+    Raises:
+        MotionError: wrong shapes, fewer than two frames, values not finite, stamps not increasing.
+    """
+
+    t_s: FloatArray
+    q: FloatArray
+    dof_names: tuple[str, ...]
+    label: int | None = None
+    index: int = 0
+    frame_id: str = "kinect"
+    points_m: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        name = self.name
+        t_s = checked(f"{name}: t_s", self.t_s, ("T",), error=MotionError)
+        q = checked(f"{name}: q", self.q, ("T", len(self.dof_names)), error=MotionError)
+        if len(t_s) < 2 or len(t_s) != len(q):
+            raise MotionError(
+                f"{name}: wanted at least 2 frames and as many stamps as postures, got {len(t_s)} and {len(q)}"
+            )
+        t_s = np.round(t_s * 1e9) * 1e-9  # stamps live as integer nanoseconds in bags; keep both sides equal
+        step = np.diff(t_s)
+        if (step <= 0).any():
+            k = int(np.argmax(step <= 0))
+            raise MotionError(
+                f"{name}: wanted strictly increasing stamps, got {t_s[k]:.6f} s then {t_s[k + 1]:.6f} s at frame {k + 1}"
+            )
+        object.__setattr__(self, "t_s", frozen(t_s))
+        object.__setattr__(self, "q", frozen(q))
+        object.__setattr__(self, "dof_names", tuple(self.dof_names))
+        if self.points_m is not None:
+            points = checked(
+                f"{name}: points_m", self.points_m, (len(t_s), len(SKELETON_POINTS), 3), finite=False, error=MotionError
+            )
+            object.__setattr__(self, "points_m", frozen(points))
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    @property
+    def name(self) -> str:
+        """`class/index`, the way motions are named on the command line."""
+        return f"{'-' if self.label is None else self.label}/{self.index}"
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the first to the last frame."""
+        return float(self.t_s[-1] - self.t_s[0])
+
+    def timeline(self, n_held: int = 0) -> tuple[list[int], FloatArray]:
+        """Return offsets from the first frame in whole ns and the postures (T + n_held, D).
+
+        The last posture is repeated `n_held` times at the median period: a person who stays where the
+        recording ended.
+        """
+        offsets = [round((t - self.t_s[0]) * 1e9) for t in self.t_s]
+        period_ns = max(1, round(float(np.median(np.diff(self.t_s))) * 1e9))
+        held = [offsets[-1] + period_ns * (k + 1) for k in range(n_held)]
+        return offsets + held, np.vstack([self.q, np.repeat(self.q[-1:], n_held, axis=0)])
+
+    @property
+    def period_s(self) -> float:
+        """Median time between frames."""
+        return float(np.median(np.diff(self.t_s)))
+
+    def with_postures(self, q: FloatArray) -> Motion:
+        """Return the same motion with other postures at the same stamps (points, if any, are dropped)."""
+        return replace(self, q=q, points_m=None)
+
+
+@dataclass(frozen=True)
+class MotionLibrary:
+    """Labelled motions of one recording: immutable, in recording order.
+
+    Attributes:
+        name: short name, shown in tables and stored in trained models.
+        motions: at least one; all with the same DoF names and frame.
+        provenance: free text facts about where the data come from.
+
+    Raises:
+        LibraryFormatError: no motions, mixed DoFs or frames, or two motions with one name.
+    """
+
+    name: str
+    motions: tuple[Motion, ...]
+    provenance: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "motions", tuple(self.motions))
+        object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
+        if not self.motions:
+            raise LibraryFormatError(f"library {self.name}: wanted at least one motion, got none")
+        first, seen = self.motions[0], set()
+        for motion in self.motions:
+            if motion.dof_names != first.dof_names:
+                raise LibraryFormatError(
+                    f"library {self.name}: motion {motion.name} has DoFs {motion.dof_names}, "
+                    f"{first.name} has {first.dof_names}; one library needs one set"
+                )
+            if motion.frame_id != first.frame_id:
+                raise LibraryFormatError(
+                    f"library {self.name}: motion {motion.name} is in frame {motion.frame_id!r}, "
+                    f"{first.name} in {first.frame_id!r}; transform them into one frame first"
+                )
+            if motion.name in seen:
+                raise LibraryFormatError(f"library {self.name}: two motions are named {motion.name}")
+            seen.add(motion.name)
+
+    def __len__(self) -> int:
+        return len(self.motions)
+
+    def __iter__(self) -> Iterator[Motion]:
+        return iter(self.motions)
+
+    @property
+    def dof_names(self) -> tuple[str, ...]:
+        return self.motions[0].dof_names
+
+    @property
+    def frame_id(self) -> str:
+        return self.motions[0].frame_id
+
+    @property
+    def labels(self) -> tuple[int, ...]:
+        """Sorted class labels; unlabelled motions have none."""
+        return tuple(sorted({motion.label for motion in self.motions if motion.label is not None}))
+
+    def of_class(self, label: int) -> tuple[Motion, ...]:
+        """Return the motions of one class, by index."""
+        return tuple(sorted((m for m in self.motions if m.label == label), key=lambda m: m.index))
+
+    def select(self, keep: Callable[[Motion], bool]) -> MotionLibrary:
+        """Return the library of the motions for which `keep` is true (LibraryFormatError if none)."""
+        return replace(self, motions=tuple(motion for motion in self.motions if keep(motion)))
+
+    def find(self, trajectory: str) -> Motion:
+        """Return one motion by `class/index` or by its running number over the sorted classes.
+
+        The running number is the papers' global id: in a library of 25 motions a class, 77 is 3/2.
+
+        Raises:
+            UsageError: no such motion, with what exists.
+        """
+        ordered = sorted(self.motions, key=lambda m: (-1 if m.label is None else m.label, m.index))
+        for number, motion in enumerate(ordered):
+            if trajectory in (motion.name, str(number)):
+                return motion
+        raise UsageError(
+            f"no trajectory {trajectory!r} in library {self.name}; "
+            f"valid: 0 to {len(ordered) - 1}, or {ordered[0].name} to {ordered[-1].name}"
+        )

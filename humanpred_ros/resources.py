@@ -1,0 +1,58 @@
+"""Where the package's own data lie: a source checkout, a wheel's prefix, or a colcon install space."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from humanpred_ros.errors import UsageError
+
+PACKAGE_NAME = "humanpred_ros"
+
+
+def share_directory() -> Path:
+    """Return the folder that holds config/, urdf/, launch/ and bags/.
+
+    The checkout around this file comes first (editable installs), then the prefix this file was
+    installed under, then every prefix ROS or Python knows of.
+    """
+    package = Path(__file__).resolve().parent
+    candidates = [package.parent]
+    candidates += [parent / "share" / PACKAGE_NAME for parent in package.parents]
+    candidates += [
+        Path(prefix) / "share" / PACKAGE_NAME
+        for prefix in [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
+        if prefix
+    ]
+    for candidate in candidates:
+        if (candidate / "urdf" / "human_kinect12.urdf").is_file():
+            return candidate
+    raise UsageError(
+        f"the data files of {PACKAGE_NAME} (urdf/human_kinect12.urdf) were looked for around {package} and not found; "
+        "reinstall the package"
+    )
+
+
+def share_file(*parts: str) -> Path:
+    """Return a file or folder below `share_directory()`; it must exist."""
+    path = share_directory().joinpath(*parts)
+    if not path.exists():
+        raise UsageError(f"wanted the package's own {'/'.join(parts)}, not found under {share_directory()}")
+    return path
+
+
+def locate(name: str, *folder: str, suffix: str = "") -> Path:
+    """Return `name` if such a path exists, else the package's own file of that name below `folder`.
+
+    Raises:
+        UsageError: neither exists; the message lists the names the package ships.
+    """
+    if Path(name).exists():
+        return Path(name)
+    home = share_file(*folder)
+    shipped = home / f"{name}{suffix}"
+    if name and shipped.exists():
+        return shipped
+    names = ", ".join(sorted(p.name.removesuffix(suffix) for p in home.iterdir() if p.name.endswith(suffix)))
+    raise UsageError(f"{name!r} is neither a path that exists nor a name shipped in {'/'.join(folder)} ({names})")

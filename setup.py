@@ -1,0 +1,77 @@
+"""Package description for pip and colcon (ament_python)."""
+
+from glob import glob
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+PACKAGE = "humanpred_ros"
+
+
+def data_files(folder: str) -> list[tuple[str, list[str]]]:
+    """Return every file below `folder`, to be installed under share/ with its subfolders kept."""
+    files = [Path(name) for name in glob(f"{folder}/**", recursive=True) if Path(name).is_file()]
+    return [(f"share/{PACKAGE}/{file.parent}", [str(file)]) for file in sorted(files)]
+
+
+NODES = [
+    "skeleton_tracker_replay",
+    "occupancy_predictor",
+    "stomp_planner",
+    "simulated_pr2",
+    "run_recorder",
+    "occupancy_replay",
+]
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Early prediction of human reaches and PR2 replanning at a shared table",
+    long_description=Path("README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
+    author="humanpred_ros developers",
+    license="Apache-2.0",
+    python_requires=">=3.10",
+    packages=find_packages(exclude=["test", "test.*"]),
+    package_data={PACKAGE: ["py.typed", "viewing/templates/*"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        *(entry for folder in ("config", "launch", "urdf", "bags") for entry in data_files(folder)),
+    ],
+    install_requires=[
+        "numpy>=1.26",
+        "scipy>=1.11",
+        "numba>=0.60",
+        "pin>=3.0",
+        "example-robot-data>=4.1",
+        "mcap>=1.2",
+        "rosbags>=0.10",
+        "lz4>=4.3",
+        "zstandard>=0.22",
+        "PyYAML>=6.0",
+        "matplotlib>=3.8",
+        "Jinja2>=3.1",
+        "rich>=13.0",
+    ],
+    extras_require={
+        # On a machine with a ROS 2 Jazzy installation these come from there: leave the extra out.
+        "ros": ["ros-jazzy-rclpy>=7.1", "ros-jazzy-common-interfaces>=5.3", "ros-jazzy-rmw-fastrtps-cpp>=8.4"],
+        "test": [
+            "pytest>=8.0",
+            "hypothesis>=6.90",
+            "scikit-learn>=1.4",
+            "ruff>=0.6",
+            "mypy>=1.11",
+            "types-PyYAML>=6.0",
+            "colcon-common-extensions>=0.3",
+        ],
+    },
+    entry_points={
+        "console_scripts": [
+            "humanpred = humanpred_ros.cli:main",
+            *(f"{node} = {PACKAGE}.nodes.{node}:main" for node in NODES),
+        ],
+    },
+    zip_safe=False,
+)
