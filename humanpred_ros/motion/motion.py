@@ -47,7 +47,7 @@ class Motion:
         q = checked(f"{name}: q", self.q, ("T", len(self.dof_names)), error=MotionError)
         if len(t_s) < 2 or len(t_s) != len(q):
             raise MotionError(
-                f"{name}: wanted at least 2 frames and as many stamps as postures, got {len(t_s)} and {len(q)}"
+                f"{name}: wanted 2 frames or more, as many stamps as postures, got {len(t_s)} and {len(q)}"
             )
         t_s = np.round(t_s * 1e9) * 1e-9  # stamps live as integer nanoseconds in bags; keep both sides equal
         step = np.diff(t_s)

@@ -1,0 +1,248 @@
+"""Reads and writes motion libraries as one CSV file per class, the form the papers' recordings come in.
+
+Three layouts are read; the class is the number in the file name:
+
+- `class_<k>.csv` with header `traj_id,frame,<DoFs>`: stamps are assumed, one frame period apart;
+- `class_<k>.csv` with header `traj_id,raw_frame,t_s,<DoFs>`: recorded stamps;
+- `compound_<k>.csv` without header: frame and the 12 DoFs, a motion starts where the frame is 0 (facts, section 1).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.errors import LibraryFormatError
+from humanpred_ros.human.kinect import KINECT12_DOFS
+from humanpred_ros.motion.motion import Motion, MotionLibrary
+
+#: Assumed where a library has no stamps: 100 frames then last 1.65 s, as long as the recorded motion 77 of library_a.
+DEFAULT_FRAME_PERIOD_S = 1.0 / 60.0
+
+_CLASS_FILE = re.compile(r"(class|compound)_(\d+)\.csv")
+_FRAME_COLUMNS = ("frame", "raw_frame")
+
+
+@dataclass(frozen=True)
+class _Table:
+    """The numbers of one file: columns by name, and the line each row stands on."""
+
+    path: Path
+    columns: tuple[str, ...]
+    rows: FloatArray
+    lines: Sequence[int]
+
+    def __getitem__(self, column: str) -> FloatArray:
+        values: FloatArray = self.rows[:, self.columns.index(column)]
+        return values
+
+
+def class_files(folder: Path) -> dict[int, Path]:
+    """Return the class files of a folder by class, ascending; empty if there are none.
+
+    Raises:
+        LibraryFormatError: two files for one class.
+    """
+    found: dict[int, Path] = {}
+    for path in sorted(folder.iterdir()):
+        match = _CLASS_FILE.fullmatch(path.name)
+        if match is None or not path.is_file():
+            continue
+        label = int(match[2])
+        if label in found:
+            raise LibraryFormatError(
+                f"{folder}: wanted one file per class, got {found[label].name} and {path.name} for class {label}; "
+                "move one of them away"
+            )
+        found[label] = path
+    return dict(sorted(found.items()))
+
+
+def read_csv_library(
+    folder: str | Path,
+    *,
+    frame_period_s: float = DEFAULT_FRAME_PERIOD_S,
+    dof_names: Sequence[str] = KINECT12_DOFS,
+    frame_id: str = "kinect",
+) -> MotionLibrary:
+    """Return the motions of a folder of class files, by class and then in file order; drops nothing.
+
+    Args:
+        folder: holds `class_<k>.csv` or `compound_<k>.csv`; other files are not looked at.
+        frame_period_s: seconds between frames of files without stamps.
+        dof_names: the D columns wanted; they may stand in another order in the file.
+        frame_id: frame in which the postures are expressed.
+
+    Raises:
+        LibraryFormatError: no class files, or a file that cannot be used, with its line.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise LibraryFormatError(f"{folder}: wanted a folder of class_<k>.csv files, there is no such folder")
+    if not (np.isfinite(frame_period_s) and frame_period_s > 0):
+        raise LibraryFormatError(f"wanted a positive frame period in seconds, got {frame_period_s}")
+    files = class_files(folder)
+    if not files:
+        raise LibraryFormatError(
+            f"{folder}: wanted files named class_<k>.csv or compound_<k>.csv (k = class number), found none"
+        )
+    motions: list[Motion] = []
+    stamps: set[str] = set()
+    for label, path in files.items():
+        table = _read_table(path, tuple(dof_names))
+        stamps.add("recorded" if "t_s" in table.columns else f"assumed: one frame every {frame_period_s:.9g} s")
+        q = table.rows[:, [table.columns.index(name) for name in dof_names]]
+        for index, rows in _trajectories(table):
+            motions.append(
+                Motion(
+                    t_s=_stamps(table, rows, frame_period_s),
+                    q=q[rows],
+                    dof_names=tuple(dof_names),
+                    label=label,
+                    index=index,
+                    frame_id=frame_id,
+                )
+            )
+    name = folder.resolve().name
+    provenance = {"format": "csv", "source": name, "stamps": "; some files ".join(sorted(stamps, reverse=True))}
+    return MotionLibrary(name, tuple(motions), provenance)
+
+
+def write_csv_library(library: MotionLibrary, folder: str | Path) -> None:
+    """Write `class_<k>.csv` files with stamps; reading them gives the same numbers, ordered by class.
+
+    Raises:
+        LibraryFormatError: the folder holds class files already, or a motion has no class or has
+            skeleton points, which this form cannot hold.
+    """
+    folder = Path(folder)
+    for motion in library:
+        if motion.label is None or motion.label < 0:
+            raise LibraryFormatError(f"motion {motion.name}: wanted a class number >= 0 for the file name; label it")
+        if motion.points_m is not None:
+            raise LibraryFormatError(f"motion {motion.name}: CSV cannot hold its skeleton points; write a bag instead")
+    if folder.exists() and (not folder.is_dir() or class_files(folder)):
+        raise LibraryFormatError(f"{folder}: wanted a folder without class files, this one has some; choose another")
+    folder.mkdir(parents=True, exist_ok=True)
+    header = ",".join(("traj_id", "frame", "t_s", *library.dof_names))
+    for label in library.labels:
+        lines = [header]
+        for motion in (m for m in library if m.label == label):
+            start_s = motion.t_s[0]
+            for frame, (t, posture) in enumerate(zip(motion.t_s - start_s, motion.q, strict=True)):
+                # repr of a float is the shortest text that reads back as the same number.
+                numbers = ",".join(repr(float(value)) for value in (t, *posture))
+                lines.append(f"{motion.index},{frame},{numbers}")
+        (folder / f"class_{label}.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _read_table(path: Path, dof_names: tuple[str, ...]) -> _Table:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as trouble:
+        raise LibraryFormatError(f"{path}: cannot be read as text ({trouble})") from trouble
+    lines = text.splitlines()
+    numbers = [number for number, line in enumerate(lines, start=1) if line.strip()]
+    if not numbers:
+        raise LibraryFormatError(f"{path}: wanted rows of postures, the file is empty")
+    if path.name.startswith("compound"):
+        columns: tuple[str, ...] = ("frame", *dof_names)
+    else:
+        columns = tuple(name.strip() for name in lines[numbers[0] - 1].split(","))
+        _check_header(path, numbers.pop(0), columns, dof_names)
+    if not numbers:
+        raise LibraryFormatError(f"{path}: wanted rows of postures below the header, got none")
+    body = [lines[number - 1] for number in numbers]
+    try:
+        rows: FloatArray = np.loadtxt(body, delimiter=",", ndmin=2, comments=None, dtype=np.float64)
+    except ValueError:
+        raise _explain(path, numbers, body, columns) from None
+    if rows.shape[1] != len(columns):
+        raise _explain(path, numbers, body, columns)
+    if not np.isfinite(rows).all():
+        row, column = (int(i) for i in np.argwhere(~np.isfinite(rows))[0])
+        raise LibraryFormatError(
+            f"{path}:{numbers[row]}: column {columns[column]}: wanted a finite number, got {rows[row, column]}; "
+            "remove or repair the motion"
+        )
+    return _Table(path, columns, rows, numbers)
+
+
+def _check_header(path: Path, line: int, columns: tuple[str, ...], dof_names: tuple[str, ...]) -> None:
+    twice = {name for name in columns if columns.count(name) > 1}
+    extra = [name for name in columns if name not in (*dof_names, "traj_id", "t_s", *_FRAME_COLUMNS)]
+    missing = [name for name in dof_names if name not in columns]
+    if "traj_id" not in columns:
+        missing.insert(0, "traj_id")
+    if not any(name in columns for name in _FRAME_COLUMNS):
+        missing.insert(0, "frame (or raw_frame)")
+    for names, what in ((sorted(twice), "twice"), (extra, "unknown"), (missing, "missing")):
+        if names:
+            wanted = f"traj_id, frame, [t_s,] {', '.join(dof_names)}"
+            raise LibraryFormatError(f"{path}:{line}: columns {what}: {', '.join(names)}; wanted {wanted}")
+
+
+def _explain(path: Path, numbers: Sequence[int], body: Sequence[str], columns: tuple[str, ...]) -> LibraryFormatError:
+    """Find the line that NumPy's fast reader stumbled over."""
+    for number, line in zip(numbers, body, strict=True):
+        cells = line.split(",")
+        if len(cells) != len(columns):
+            return LibraryFormatError(
+                f"{path}:{number}: wanted {len(columns)} columns, got {len(cells)}; repair the row"
+            )
+        for name, cell in zip(columns, cells, strict=True):
+            try:
+                np.float64(cell)
+            except ValueError:
+                return LibraryFormatError(f"{path}:{number}: column {name}: wanted a number, got {cell.strip()!r}")
+    return LibraryFormatError(f"{path}: wanted rows of {len(columns)} numbers separated by commas")
+
+
+def _trajectories(table: _Table) -> Iterator[tuple[int, slice]]:
+    """Yield (index, rows) of each motion in the file, in file order."""
+    path = table.path
+    if "traj_id" in table.columns:
+        ids = table["traj_id"]
+        if (ids != np.round(ids)).any() or (ids < 0).any():
+            row = int(np.argmax((ids != np.round(ids)) | (ids < 0)))
+            raise LibraryFormatError(f"{path}:{table.lines[row]}: traj_id: wanted a whole number >= 0, got {ids[row]}")
+        starts = np.flatnonzero(np.concatenate([[True], np.diff(ids) != 0]))
+    else:
+        frames = table["frame"]
+        ids = np.cumsum(frames == 0) - 1
+        if frames[0] != 0:
+            raise LibraryFormatError(f"{path}:{table.lines[0]}: frame: wanted 0 at the start, got {frames[0]:g}")
+        starts = np.flatnonzero(frames == 0)
+    seen: set[int] = set()
+    for start, stop in zip(starts.tolist(), [*starts[1:].tolist(), len(ids)], strict=True):
+        index = int(ids[start])
+        line = table.lines[start]
+        if index in seen:
+            raise LibraryFormatError(f"{path}:{line}: trajectory {index} appears twice; wanted its rows together")
+        seen.add(index)
+        if stop - start < 2:
+            raise LibraryFormatError(f"{path}:{line}: trajectory {index}: wanted at least 2 frames, got 1")
+        yield index, slice(start, stop)
+
+
+def _stamps(table: _Table, rows: slice, frame_period_s: float) -> FloatArray:
+    frame = next(name for name in _FRAME_COLUMNS if name in table.columns)
+    timed = "t_s" in table.columns
+    # Whole nanoseconds are what a Motion keeps: two stamps that differ by less are one.
+    ticks = np.round(table["t_s"][rows] * 1e9) if timed else table[frame][rows]
+    late = np.diff(ticks) <= 0
+    if late.any():
+        row = rows.start + int(np.argmax(late)) + 1
+        name = "t_s" if timed else frame
+        values = table[name]
+        raise LibraryFormatError(
+            f"{table.path}:{table.lines[row]}: {name}: wanted values that increase within a trajectory, "
+            f"got {values[row]:.9g} after {values[row - 1]:.9g}"
+        )
+    relative: FloatArray = ticks - ticks[0]
+    return relative * 1e-9 if timed else relative * frame_period_s

@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from humanpred_ros.errors import BagError, LibraryFormatError
+from humanpred_ros.motion.csv_library import KINECT12_DOFS, write_csv_library
+from humanpred_ros.motion.library_io import import_library, load_library
+from humanpred_ros.motion.motion import Motion, MotionLibrary
+
+
+@pytest.fixture
+def csv_folder(tmp_path: Path) -> Path:
+    t_s = np.arange(5) * 0.02
+    motions = [
+        Motion(t_s, np.full((5, 12), 0.1 * label + 0.01 * index), KINECT12_DOFS, label, index)
+        for label in (0, 4)
+        for index in range(3)
+    ]
+    write_csv_library(MotionLibrary("reaches", tuple(motions)), tmp_path / "reaches")
+    return tmp_path / "reaches"
+
+
+def test_every_form_gives_the_same_library(csv_folder: Path, tmp_path: Path) -> None:
+    folder = import_library(csv_folder, tmp_path / "bags")
+    assert folder == tmp_path / "bags" / "reaches"
+    wanted = load_library(csv_folder)
+    for path in (folder, folder / "reaches_0.mcap", str(folder)):
+        got = load_library(path)
+        assert (got.name, dict(got.provenance)) == (wanted.name, dict(wanted.provenance))
+        for a, b in zip(wanted, got, strict=True):
+            assert (a.name, a.t_s.tobytes(), a.q.tobytes()) == (b.name, b.t_s.tobytes(), b.q.tobytes())
+
+
+def test_a_bag_can_be_imported_again(csv_folder: Path, tmp_path: Path) -> None:
+    folder = import_library(csv_folder, tmp_path / "bags")
+    with pytest.raises(BagError, match="exists"):
+        import_library(csv_folder, tmp_path / "bags")
+    assert import_library(folder, tmp_path / "bags", overwrite=True) == folder
+    assert len(load_library(folder)) == 6
+
+
+def test_the_frame_period_reaches_the_stamps(tmp_path: Path) -> None:
+    rows = [f"{frame}," + ",".join(["0.0"] * 12) for frame in range(4)]
+    (tmp_path / "compound_0.csv").write_text("\n".join(rows))
+    assert load_library(tmp_path, frame_period_s=0.5).motions[0].duration_s == 1.5
+    assert load_library(tmp_path).motions[0].duration_s == pytest.approx(3 / 60)
+
+
+def test_an_import_that_fails_leaves_nothing(csv_folder: Path, tmp_path: Path) -> None:
+    (csv_folder / "class_4.csv").write_text("broken")
+    with pytest.raises(LibraryFormatError):
+        import_library(csv_folder, tmp_path / "bags")
+    assert not (tmp_path / "bags").exists()
+
+
+def test_what_is_no_library_is_said_to_be_none(tmp_path: Path) -> None:
+    with pytest.raises(LibraryFormatError, match="nothing of that name"):
+        load_library(tmp_path / "absent")
+    (tmp_path / "notes.txt").write_text("notes")
+    for path in (tmp_path, tmp_path / "notes.txt"):
+        with pytest.raises(LibraryFormatError, match="none of these"):
+            load_library(path)
+    (tmp_path / "x.mcap").write_text("not a bag")
+    for path in (tmp_path, tmp_path / "x.mcap"):
+        with pytest.raises(BagError, match="wanted"):
+            load_library(path)
