@@ -1,0 +1,36 @@
+"""The interface of everything that turns an observed posture into predicted human occupancy."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
+from humanpred_ros.recognition.classifier import ClassPosterior
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What a predictor says after one posture; `posterior` is None where it recognises nothing."""
+
+    occupancy: Occupancy
+    posterior: ClassPosterior | None
+
+
+class OccupancyPredictor(ABC):
+    """Predicts the voxels the human will occupy.
+
+    The grid is in the world frame; postures are in the frame of the tracker. `T_world_human` given at
+    construction joins the two.
+    """
+
+    grid: VoxelGrid
+
+    @abstractmethod
+    def start(self) -> None:
+        """Forget what was observed: the next posture is the first of a new motion."""
+
+    @abstractmethod
+    def update(self, q: FloatArray, t_s: float) -> Prediction:
+        """Take one posture (D,) stamped `t_s` and return the prediction that follows from all so far."""

@@ -1,0 +1,42 @@
+"""Classifiers are chosen by name, in a node's parameter or on the command line."""
+
+from __future__ import annotations
+
+from humanpred_ros.errors import UsageError
+from humanpred_ros.recognition.classifier import IntentClassifier
+from humanpred_ros.recognition.gmm_classifier import GmmClassifier
+from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.training import TrainedModel
+
+#: Names users know the classifiers by.
+CLASSIFIERS = {"gmm": "P1: a Gaussian mixture per class over phase and posture"}
+
+
+def make_classifier(name: str, config: GmmConfig | None = None) -> IntentClassifier:
+    """Return a classifier by name, to be fitted.
+
+    Raises:
+        UsageError: unknown name, with the valid ones.
+    """
+    _check(name)
+    return GmmClassifier(config)
+
+
+def trained_classifier(name: str, model: TrainedModel, **online: object) -> IntentClassifier:
+    """Return a classifier by name, ready for use, from a trained model.
+
+    Args:
+        name: one of `CLASSIFIERS`.
+        model: what was learned.
+        online: settings that differ from the model's (`GmmConfig`, those free to change).
+
+    Raises:
+        UsageError: unknown name, or a setting that a trained model cannot change.
+    """
+    _check(name)
+    return model.classifier(**online)
+
+
+def _check(name: str) -> None:
+    if name not in CLASSIFIERS:
+        raise UsageError(f"classifier: wanted one of {', '.join(CLASSIFIERS)}, got {name!r}")
