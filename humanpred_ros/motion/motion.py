@@ -54,7 +54,7 @@ class Motion:
         if (step <= 0).any():
             k = int(np.argmax(step <= 0))
             raise MotionError(
-                f"{name}: wanted strictly increasing stamps, got {t_s[k]:.6f} s then {t_s[k + 1]:.6f} s at frame {k + 1}"
+                f"{name}: wanted increasing stamps, got {t_s[k]:.6f} s and then {t_s[k + 1]:.6f} s at frame {k + 1}"
             )
         object.__setattr__(self, "t_s", frozen(t_s))
         object.__setattr__(self, "q", frozen(q))

@@ -21,6 +21,11 @@ PREDICTORS = {
 }
 
 
+def needs_model(name: str) -> bool:
+    """Return whether a predictor learns from a motion library; the baselines do not."""
+    return name == "swept_volume"
+
+
 def make_predictor(
     name: str,
     model: TrainedModel | None,

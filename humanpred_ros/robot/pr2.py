@@ -1,0 +1,231 @@
+"""The PR2's right arm placed in a scene: the one robot both experiments of P1 plan for.
+
+Everything is derived from the URDF and its collision meshes when the arm is made (about 0.1 s), so a
+changed URDF cannot disagree with a stored copy. The base, torso, head and left arm stand still.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from humanpred_ros.checks import FloatArray, checked
+from humanpred_ros.errors import GoalUnreachableError, SceneError
+from humanpred_ros.robot.chain import BodyPoints, BodySpheres, KinematicChain
+from humanpred_ros.robot.shapes import Box, Obstacle
+from humanpred_ros.robot.surface import Bounds, covering_boxes, covering_spheres, sample
+from humanpred_ros.robot.urdf_model import LinkSurface, UrdfModel, find_pr2_urdf
+
+_ARM_JOINTS = (
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "upper_arm_roll_joint",
+    "elbow_flex_joint",
+    "forearm_roll_joint",
+    "wrist_flex_joint",
+    "wrist_roll_joint",
+)
+RIGHT_ARM_JOINTS = tuple(f"r_{name}" for name in _ARM_JOINTS)
+LEFT_ARM_JOINTS = tuple(f"l_{name}" for name in _ARM_JOINTS)
+TOOL_FRAME = "r_gripper_tool_frame"
+
+LEFT_ARM_RAD = tuple(float(np.deg2rad(deg)) for deg in (-4.966, 79.626, 83.104, -54.144, 82.692, -62.511, 179.154))
+"""Where the left arm is in the authors' scenes (facts section 5)."""
+
+TORSO_LIFT_M = 0.31
+"""Height of the torso in the authors' scenes (facts section 4)."""
+
+DISTANCE_WEIGHT_M = (0.54, 0.19, 0.49, 0.14, 0.37, 0.06, 0.14)
+"""Move3D's weight of each joint, the reach of what it moves (facts section 4: estimated)."""
+
+BODY_POINT_SPACING_M = 0.04
+"""Between 3 and 5 cm: fine against a forearm's width, coarse enough for some 180 points."""
+
+_FIRST_BODY_JOINT = RIGHT_ARM_JOINTS.index("r_upper_arm_roll_joint")
+# The radius of each limb's cross-section plus about 1 cm: smaller spheres would need several rows, larger ones
+# stick out farther. The thin fingertips get small ones, because goals beside a cup leave them 1 cm.
+_LARGEST_SPHERE_M = {
+    "r_upper_arm_roll_link": 0.115,
+    "r_upper_arm_link": 0.115,
+    "r_elbow_flex_link": 0.085,
+    "r_forearm_roll_link": 0.085,
+    "r_forearm_link": 0.085,
+    "r_gripper_l_finger_tip_link": 0.03,
+    "r_gripper_r_finger_tip_link": 0.03,
+}
+_LARGEST_OTHER_SPHERE_M = 0.05
+_LEAST_SAVING_M3 = 0.0005  # half a litre: some 60 boxes in all; the torso's are 0.064 m3, one box would be 0.173
+_LIMIT_TOLERANCE_RAD = 1e-6  # limits are written with about ten digits, scene angles with six
+
+
+class Pr2Arm:
+    """The right arm of a PR2 that stands still, and what it must not hit of itself.
+
+    Attributes:
+        chain: its kinematics, rooted in torso_lift_link.
+        link_names: (J) the link each joint moves.
+        tool_frame: name of the frame that `chain.tool_pose` gives.
+        T_world_base: (4, 4) pose of base_footprint.
+        torso_lift_m, left_arm_rad: the fixed joints.
+
+    Args:
+        T_world_base: (4, 4) pose of base_footprint, on the floor between the wheels.
+        torso_lift_m: height of the torso, 0 to 0.31.
+        left_arm_rad: (7,) configuration of the left arm.
+        urdf: another URDF of a PR2; example-robot-data's otherwise.
+
+    Raises:
+        SceneError: for a base, torso height or left arm that is impossible.
+        UsageError: if no URDF is found or it is not a PR2's.
+    """
+
+    def __init__(
+        self,
+        T_world_base: ArrayLike,
+        torso_lift_m: float = TORSO_LIFT_M,
+        left_arm_rad: ArrayLike = LEFT_ARM_RAD,
+        urdf: Path | None = None,
+    ) -> None:
+        self.T_world_base = checked("robot base", T_world_base, (4, 4), error=SceneError).copy()
+        self.torso_lift_m = float(torso_lift_m)
+        self.left_arm_rad = checked("left arm", left_arm_rad, (len(LEFT_ARM_JOINTS),), error=SceneError).copy()
+        for array in (self.T_world_base, self.left_arm_rad):
+            array.setflags(write=False)
+        fixed = {"torso_lift_joint": self.torso_lift_m}
+        fixed.update(zip(LEFT_ARM_JOINTS, map(float, self.left_arm_rad), strict=True))
+        self._path = urdf or find_pr2_urdf()
+        self._urdf = UrdfModel(self._path, self.T_world_base, fixed)
+        for joint, value in fixed.items():
+            self._check_fixed(joint, value)
+        self.chain: KinematicChain = self._urdf.chain(RIGHT_ARM_JOINTS, TOOL_FRAME)
+        self.link_names = tuple(self._urdf.link_of(joint) for joint in RIGHT_ARM_JOINTS)
+        self.tool_frame = TOOL_FRAME
+
+    def body_points(self, spacing_m: float = BODY_POINT_SPACING_M) -> BodyPoints:
+        """Sample the surface of upper arm, elbow, forearm, wrist and gripper, in joint order.
+
+        These are what the human occupancy is summed over; the shoulder is left out as in the
+        authors' planner (facts section 4). The gripper is closed.
+
+        Args:
+            spacing_m: least distance between two points of a link, and the largest gap between them.
+        """
+        points = [
+            sample(np.concatenate([surface.triangles for surface in surfaces]), spacing_m)
+            for surfaces in _moving_surfaces(self._urdf)
+        ]
+        link = np.repeat(np.arange(_FIRST_BODY_JOINT, self.chain.n_joints), [len(part) for part in points])
+        return BodyPoints(link, np.concatenate(points))
+
+    def spheres(self) -> BodySpheres:
+        """Cover the surface of upper arm, elbow, forearm, wrist and gripper with spheres, in joint order.
+
+        The turret and the shoulder are left out: they stay within 5 cm of the torso by construction.
+        """
+        return _sphere_cover(self._path)
+
+    @cached_property
+    def fixed_obstacles(self) -> tuple[Obstacle, ...]:
+        """The robot's own base, torso, head, laser and left arm as boxes, named after their links.
+
+        No body is left out: the arm's spheres begin at the upper arm, whose mesh keeps 0.08 m or more from
+        all of them in the authors' configurations. What the arm does to itself (forearm against turret) is
+        not looked at.
+        """
+        obstacles = []
+        surfaces = self._urdf.fixed_surfaces(RIGHT_ARM_JOINTS)
+        for (surface, T_world_frame), boxes in zip(surfaces, _box_covers(self._path), strict=True):
+            for lower, upper in boxes:
+                T_world_box = T_world_frame.copy()
+                T_world_box[:3, 3] += T_world_frame[:3, :3] @ ((lower + upper) / 2.0)
+                obstacles.append(Obstacle(surface.link, Box(T_world_box, upper - lower)))
+        return tuple(obstacles)
+
+    @cached_property
+    def reach(self) -> tuple[FloatArray, float]:
+        """Centre (3,) and radius of a ball that the moving bodies never leave, world frame, metres."""
+        lengths = np.linalg.norm(self.chain.joint_origin_m, axis=1)
+        to_joint = np.concatenate([[0.0], np.cumsum(lengths[1:])])
+        spheres = self.spheres()
+        beyond = np.linalg.norm(spheres.centre_m, axis=1) + spheres.radius_m
+        radius = float((to_joint[spheres.link] + beyond).max())
+        root = self.chain.T_world_root
+        centre: FloatArray = root[:3, :3] @ self.chain.joint_origin_m[0] + root[:3, 3]
+        return centre, radius
+
+    def difference(self, q_from: ArrayLike, q_to: ArrayLike) -> FloatArray:
+        """Return the change (..., J) that leads from one configuration to another.
+
+        Continuous joints go the shorter way round, so `q_from + difference` may name the same place as
+        `q_to` by another angle.
+        """
+        change = np.asarray(q_to, dtype=np.float64) - np.asarray(q_from, dtype=np.float64)
+        shorter = (change + np.pi) % (2.0 * np.pi) - np.pi
+        result: FloatArray = np.where(self.chain.continuous, shorter, change)
+        return result
+
+    def configuration_distance(self, a: ArrayLike, b: ArrayLike) -> FloatArray:
+        """Return Move3D's distance (...) between configurations (..., J), the unit of P1's path parameter.
+
+        The root of the summed squares of each joint's change times `DISTANCE_WEIGHT_M` (facts section 4).
+        """
+        distance: FloatArray = np.linalg.norm(self.difference(a, b) * np.array(DISTANCE_WEIGHT_M), axis=-1)
+        return distance
+
+    def check_configuration(self, q: ArrayLike, name: str) -> FloatArray:
+        """Return `q` (7,) if it lies within the joint limits.
+
+        Args:
+            q: configuration in rad.
+            name: what the configuration is, for the message.
+
+        Raises:
+            GoalUnreachableError: naming the joint, its value and its limits.
+        """
+        array = checked(name, q, (self.chain.n_joints,), error=GoalUnreachableError)
+        for joint, value, lower, upper in zip(
+            self.chain.joint_names, array, self.chain.lower, self.chain.upper, strict=True
+        ):
+            if not lower - _LIMIT_TOLERANCE_RAD <= value <= upper + _LIMIT_TOLERANCE_RAD:
+                raise GoalUnreachableError(
+                    f"{name}: wanted {joint} within {lower:.4f} to {upper:.4f} rad, got {value:.4f} rad "
+                    f"({np.rad2deg(value):.2f} deg); choose a configuration within the limits"
+                )
+        return array
+
+    def _check_fixed(self, joint: str, value: float) -> None:
+        lower, upper = self._urdf.limits(joint)
+        if not lower - _LIMIT_TOLERANCE_RAD <= value <= upper + _LIMIT_TOLERANCE_RAD:
+            raise SceneError(
+                f"robot: wanted {joint} within {lower:.4f} to {upper:.4f} (rad or m), got {value}; correct the scene"
+            )
+
+
+def _moving_surfaces(model: UrdfModel) -> list[list[LinkSurface]]:
+    """What each joint from the upper arm outwards moves, in the joint's frame."""
+    return model.moving_surfaces(RIGHT_ARM_JOINTS)[_FIRST_BODY_JOINT:]
+
+
+# The covers below do not depend on where the robot stands, so scenes of one process share them.
+
+
+@lru_cache(maxsize=2)
+def _sphere_cover(urdf: Path) -> BodySpheres:
+    link, centres, radii = [], [], []
+    for joint, surfaces in enumerate(_moving_surfaces(UrdfModel(urdf, np.eye(4), {})), start=_FIRST_BODY_JOINT):
+        for surface in surfaces:
+            largest = _LARGEST_SPHERE_M.get(surface.link, _LARGEST_OTHER_SPHERE_M)
+            centre, radius = covering_spheres(surface.triangles, largest)
+            link.append(np.full(len(radius), joint))
+            centres.append(centre)
+            radii.append(radius)
+    return BodySpheres(np.concatenate(link), np.concatenate(centres), np.concatenate(radii))
+
+
+@lru_cache(maxsize=2)
+def _box_covers(urdf: Path) -> tuple[tuple[Bounds, ...], ...]:
+    surfaces = UrdfModel(urdf, np.eye(4), {}).fixed_surfaces(RIGHT_ARM_JOINTS)
+    return tuple(tuple(covering_boxes(surface.triangles, _LEAST_SAVING_M3)) for surface, _ in surfaces)

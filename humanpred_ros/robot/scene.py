@@ -1,0 +1,221 @@
+"""One workplace: robot, table, objects, goals and where the human stands, read from YAML and checked once.
+
+A scene that loads can be planned in: every configuration lies within the joint limits and touches nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from humanpred_ros.checks import FloatArray, checked, frozen
+from humanpred_ros.errors import ArrayError, GoalUnreachableError, SceneError
+from humanpred_ros.occupancy.grid import VoxelGrid
+from humanpred_ros.resources import share_file
+from humanpred_ros.robot.clearance import nearest_approach
+from humanpred_ros.robot.distance_field import DEFAULT_RESOLUTION_M, SignedDistanceField, build_distance_field
+from humanpred_ros.robot.pr2 import LEFT_ARM_JOINTS, RIGHT_ARM_JOINTS, Pr2Arm
+from humanpred_ros.robot.scene_file import Section, read_yaml
+from humanpred_ros.robot.shapes import Box, Cylinder, Obstacle, planar_pose
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """A task of the robot: bring the arm to `configuration` (7,) rad."""
+
+    name: str
+    configuration: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What is fixed while robot and human work; frames are world unless the name says otherwise.
+
+    Attributes:
+        name: how reports call it.
+        T_world_base: (4, 4) pose of the robot's base_footprint.
+        torso_lift_m: height of the torso.
+        left_arm_rad: (7,) configuration of the resting left arm.
+        start: (7,) configuration of the right arm at the beginning.
+        goals: at least one, with different names; continuous joints are unwrapped so that
+            `goal.configuration - start` is the shorter way.
+        table: the table's top.
+        objects: what stands on it.
+        T_world_human: (4, 4) pose of the tracker's frame, in which postures are given.
+        grid: the voxels in which human occupancy is predicted.
+
+    Raises:
+        SceneError: for no goals, or names used twice.
+        GoalUnreachableError: for a configuration outside the joint limits.
+    """
+
+    name: str
+    T_world_base: FloatArray
+    torso_lift_m: float
+    left_arm_rad: FloatArray
+    start: FloatArray
+    goals: tuple[Goal, ...]
+    table: Obstacle
+    objects: tuple[Obstacle, ...]
+    T_world_human: FloatArray
+    grid: VoxelGrid
+
+    def __post_init__(self) -> None:
+        for name, shape in (("T_world_base", (4, 4)), ("T_world_human", (4, 4)), ("left_arm_rad", (7,))):
+            array = checked(f"scene {self.name}: {name}", getattr(self, name), shape, error=SceneError)
+            object.__setattr__(self, name, frozen(array))
+        if not self.goals:
+            raise SceneError(f"scene {self.name}: wanted at least one goal, got none; add one under goals")
+        for what, names in (
+            ("goal", [goal.name for goal in self.goals]),
+            ("object", [obstacle.name for obstacle in self.obstacles]),
+        ):
+            twice = sorted({name for name in names if names.count(name) > 1})
+            if twice:
+                raise SceneError(f"scene {self.name}: wanted different {what} names, got {', '.join(twice)} twice")
+        start = self.arm.check_configuration(self.start, f"start of scene {self.name}")
+        object.__setattr__(self, "start", frozen(start))
+        unwrapped = []
+        for goal in self.goals:
+            configuration = self.arm.check_configuration(goal.configuration, self._call(goal))
+            shorter = start + self.arm.difference(start, configuration)
+            unwrapped.append(Goal(goal.name, np.asarray(frozen(shorter), dtype=np.float64)))
+        object.__setattr__(self, "goals", tuple(unwrapped))
+
+    @cached_property
+    def arm(self) -> Pr2Arm:
+        """The robot's right arm, placed."""
+        return Pr2Arm(self.T_world_base, self.torso_lift_m, self.left_arm_rad)
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """Table and objects."""
+        return (self.table, *self.objects)
+
+    def goal(self, name: str) -> Goal:
+        """Return the goal of that name.
+
+        Raises:
+            SceneError: if there is none; the message lists the names.
+        """
+        for goal in self.goals:
+            if goal.name == name:
+                return goal
+        known = ", ".join(goal.name for goal in self.goals)
+        raise SceneError(f"scene {self.name}: wanted one of the goals {known}, got {name!r}")
+
+    def distance_field(self, resolution_m: float = DEFAULT_RESOLUTION_M) -> SignedDistanceField:
+        """Return the distance to table, objects and the robot's own fixed bodies wherever the arm can reach.
+
+        The human is not in it, as in the paper: human occupancy is a cost of its own.
+        """
+        centre, radius = self.arm.reach
+        obstacles = (*self.obstacles, *self.arm.fixed_obstacles)
+        return build_distance_field(obstacles, centre - radius, centre + radius, resolution_m)
+
+    def check_free(self) -> None:
+        """Check that the arm touches nothing at the start and at every goal.
+
+        Raises:
+            GoalUnreachableError: naming configuration, link, obstacle and depth.
+        """
+        spheres = self.arm.spheres()
+        obstacles = (*self.obstacles, *self.arm.fixed_obstacles)
+        for what, q in [("start", self.start), *((self._call(goal), goal.configuration) for goal in self.goals)]:
+            nearest = nearest_approach(self.arm, spheres, obstacles, q)
+            if nearest.clearance_m < 0.0:
+                raise GoalUnreachableError(
+                    f"{what} of scene {self.name}: wanted the arm free of obstacles, got {nearest.link} "
+                    f"{-nearest.clearance_m:.3f} m deep in {nearest.obstacle}; move the obstacle or the configuration"
+                )
+
+    def _call(self, goal: Goal) -> str:
+        return f"goal {goal.name!r} of scene {self.name}"
+
+
+def scene_names() -> tuple[str, ...]:
+    """Return the names of the scenes that come with the package."""
+    return tuple(sorted(path.stem for path in share_file("config", "scenes").glob("*.yaml")))
+
+
+def load_scene(name_or_path: str | Path) -> Scene:
+    """Read and check a scene.
+
+    Args:
+        name_or_path: the name of a scene of the package (`face_to_face`), or the path of a YAML file.
+
+    Raises:
+        SceneError: for a file that cannot be read, unknown or missing keys, impossible values.
+        GoalUnreachableError: for a start or goal outside the joint limits or in collision.
+    """
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml"):
+        known = scene_names()
+        if str(name_or_path) not in known:
+            raise SceneError(
+                f"scene: wanted one of {', '.join(known)} or the path of a .yaml file, got {str(name_or_path)!r}"
+            )
+        path = share_file("config", "scenes", f"{name_or_path}.yaml")
+    try:
+        scene = _parse(
+            Section(
+                read_yaml(path),
+                f"scene {path.stem}",
+                ("name", "robot", "start_angle", "goals", "table", "objects", "human", "grid"),
+            )
+        )
+    except ArrayError as trouble:
+        raise SceneError(f"scene {path.stem}: {trouble}") from trouble
+    scene.check_free()
+    return scene
+
+
+def _parse(top: Section) -> Scene:
+    robot = top.section("robot", ("base_xy_m", "yaw_angle", "torso_lift_m", "left_arm_angle"))
+    human = top.section("human", ("offset_m", "yaw_angle"))
+    grid = top.section("grid", ("origin_m", "resolution_m", "shape"))
+    table = top.section("table", ("top_centre_m", "size_m", "yaw_angle"))
+    base, offset = robot.numbers("base_xy_m", 2), human.numbers("offset_m", 3)
+    n = len(RIGHT_ARM_JOINTS)
+    goals = tuple(
+        Goal(entry.text("name"), entry.angles("configuration", n))
+        for entry in top.sections("goals", ("name", "configuration_angle"))
+    )
+    return Scene(
+        name=top.text("name"),
+        T_world_base=planar_pose(base[0], base[1], 0.0, robot.angle("yaw")),
+        torso_lift_m=robot.number("torso_lift_m"),
+        left_arm_rad=robot.angles("left_arm", len(LEFT_ARM_JOINTS)),
+        start=top.angles("start", n),
+        goals=goals,
+        table=Obstacle("table", _table(table)),
+        objects=tuple(_object(entry) for entry in top.sections("objects", ("name", "base_m", "radius_m", "height_m"))),
+        T_world_human=planar_pose(offset[0], offset[1], offset[2], human.angle("yaw")),
+        grid=VoxelGrid(
+            tuple(grid.numbers("origin_m", 3)),
+            grid.number("resolution_m"),
+            _counts(grid.numbers("shape", 3)),
+        ),
+    )
+
+
+def _table(section: Section) -> Box:
+    top, size = section.numbers("top_centre_m", 3), section.numbers("size_m", 3)
+    yaw = section.angle("yaw") if "yaw_angle" in section else 0.0
+    return Box(planar_pose(top[0], top[1], top[2] - size[2] / 2.0, yaw), size)
+
+
+def _object(section: Section) -> Obstacle:
+    base, height = section.numbers("base_m", 3), section.number("height_m")
+    pose = planar_pose(base[0], base[1], base[2] + height / 2.0)
+    return Obstacle(section.text("name"), Cylinder(pose, section.number("radius_m"), height))
+
+
+def _counts(numbers: FloatArray) -> tuple[int, int, int]:
+    if (numbers != np.round(numbers)).any():
+        raise SceneError(f"grid shape: wanted whole numbers of voxels, got {numbers}")
+    x, y, z = (int(number) for number in numbers)
+    return x, y, z
