@@ -44,7 +44,7 @@ setup(
         "scipy>=1.11",
         "numba>=0.60",
         "pin>=4.0",
-        "example-robot-data>=5.0",
+        "example-robot-data>=6.0",
         "mcap>=1.6",
         "rosbags>=0.11",
         "lz4>=4.3",

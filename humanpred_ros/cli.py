@@ -1,0 +1,223 @@
+"""`humanpred`: the front door for people without a ROS installation."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from humanpred_ros import __version__
+from humanpred_ros.errors import HumanPredError
+from humanpred_ros.recording.salvage import BagReport, check_bag, salvage_bag
+
+console = Console()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one subcommand; return the exit status: 0 done, 1 a check found a problem, 2 bad input, 130 interrupted."""
+    options = _parser().parse_args(arguments)
+    command: Callable[[argparse.Namespace], int] = options.command
+    try:
+        return command(options)
+    except HumanPredError as error:
+        print(f"humanpred: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("humanpred: interrupted", file=sys.stderr)
+        return 130
+
+
+def _demo(options: argparse.Namespace) -> int:
+    from humanpred_ros.experiments.demo import DemoOptions, run_demo
+
+    run_demo(
+        DemoOptions(
+            scene=options.scene,
+            library=options.library,
+            trajectory=options.trajectory,
+            model=options.model,
+            hold_out=options.hold_out,
+            seed=options.seed,
+            stepped=options.stepped,
+            rate=options.rate,
+            predictor=options.predictor,
+            evidence=options.evidence,
+            window_frames=options.window_frames,
+            out=options.out,
+        ),
+        console,
+    )
+    return 0
+
+
+def _train(options: argparse.Namespace) -> int:
+    from humanpred_ros.human.model import HumanModel
+    from humanpred_ros.motion.library_io import load_library
+    from humanpred_ros.recognition.gmm_config import GmmConfig
+    from humanpred_ros.recognition.model_file import save_model
+    from humanpred_ros.recognition.training import train_model
+    from humanpred_ros.resources import locate
+
+    library = load_library(locate(options.library, "bags"), frame_period_s=options.frame_period)
+    if options.hold_out:
+        held_out = {m.name for label in library.labels for m in library.of_class(label)[: options.hold_out]}
+        library = library.select(lambda motion: motion.name not in held_out)
+    config = GmmConfig(n_components=options.components, phase_feature=not options.no_phase, seed=options.seed)
+    with console.status(f"training on {len(library)} motions of {library.name}"):
+        model = train_model(library, HumanModel.kinect12(), config)
+    save_model(model, Path(options.out))
+    console.print(f"{options.out}: {len(model.labels)} classes from {len(library)} motions of {library.name}")
+    return 0
+
+
+def _import(options: argparse.Namespace) -> int:
+    from humanpred_ros.motion.library_io import import_library
+
+    for source in options.source:
+        bag = import_library(source, options.out, frame_period_s=options.frame_period, overwrite=options.overwrite)
+        console.print(f"{source} -> {bag}")
+    return 0
+
+
+def _generate(options: argparse.Namespace) -> int:
+    from humanpred_ros.motion.bag_library import write_library_bag
+    from humanpred_ros.motion.library_io import load_library
+    from humanpred_ros.motion.library_statistics import comparison_markdown
+    from humanpred_ros.motion.synthetic import ReachGeneratorConfig, generate_library
+
+    config = ReachGeneratorConfig(motions_per_class=options.motions, name=Path(options.out).name)
+    with console.status(f"generating {options.motions} motions per class"):
+        library = generate_library(config, np.random.default_rng(options.seed))
+    other = load_library(options.compare) if options.compare else None
+    write_library_bag(library, options.out, overwrite=options.overwrite)
+    console.print(f"{options.out}: {len(library)} motions, seed {options.seed}")
+    if other is not None:
+        console.print(comparison_markdown(library, other), markup=False, highlight=False)
+    return 0
+
+
+def _report(options: argparse.Namespace) -> int:
+    from humanpred_ros.viewing.report import write_report
+    from humanpred_ros.viewing.run import read_run
+    from humanpred_ros.viewing.summary import print_summary, summarise
+
+    run = read_run(Path(options.run))
+    summary = summarise(run)
+    out = Path(options.out) if options.out else Path(options.run) / "report.html"
+    write_report(run, summary, out)
+    print_summary(summary, console)
+    console.print(f"report  {out}")
+    return 0
+
+
+def _replay(options: argparse.Namespace) -> int:
+    from humanpred_ros.experiments.reproduce import replay_run
+
+    out = Path(options.out) if options.out else Path(options.run) / "replayed_bag"
+    with console.status("feeding the recorded occupancy to a fresh planner"):
+        comparison = replay_run(Path(options.run), out)
+    for difference in comparison.differing[:10]:
+        console.print(difference, markup=False, highlight=False)
+    console.print(
+        f"{comparison.n_decisions} decisions, {comparison.n_trajectories} trajectories: "
+        + (f"{len(comparison.differing)} differ" if comparison.differing else "reproduced bit for bit")
+    )
+    return 1 if comparison.differing else 0
+
+
+def _print_bag(report: BagReport) -> None:
+    table = Table(str(report.path), "messages", box=None)
+    for topic, count in sorted(report.messages.items()):
+        table.add_row(topic, str(count))
+    console.print(table)
+    for problem in report.problems:
+        console.print(f"problem: {problem}", markup=False)
+    console.print("all is well" if report.ok else "not all is well")
+
+
+def _bag_check(options: argparse.Namespace) -> int:
+    report = check_bag(options.bag)
+    _print_bag(report)
+    return 0 if report.ok else 1
+
+
+def _bag_salvage(options: argparse.Namespace) -> int:
+    _print_bag(salvage_bag(options.bag, options.out))
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="humanpred", description=__doc__)
+    parser.add_argument("--version", action="version", version=__version__)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    def add(name: str, command: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+        added = commands.add_parser(name, help=text, description=text)
+        added.set_defaults(command=command)
+        return added
+
+    demo = add("demo", _demo, "replay, predict and plan over DDS, recorded to MCAP, with a report at the end")
+    demo.add_argument("--scene", default="face_to_face", help="scene name, or a YAML file")
+    demo.add_argument("--library", default="synthetic_reaches", help="bag, CSV folder, or the name of a shipped one")
+    demo.add_argument("--trajectory", help="class/index, or the running number over sorted classes")
+    demo.add_argument("--model", help="model file made by `humanpred train`; default: train now")
+    demo.add_argument("--hold-out", type=int, default=5, help="first motions of each class not trained on")
+    demo.add_argument("--predictor", default="swept_volume", help="swept_volume, or current (the baseline)")
+    demo.add_argument("--evidence", default="sum", help="sum or mean of the postures' log densities")
+    demo.add_argument("--window-frames", type=int, default=0, help="count only so many last postures; 0 counts all")
+    demo.add_argument("--seed", type=int, default=0)
+    demo.add_argument("--stepped", action="store_true", help="wait for the planner after every posture")
+    demo.add_argument("--rate", type=float, default=1.0, help="playback speed in real time")
+    demo.add_argument("--out", help="folder of the run; default: a new one below runs/")
+
+    train = add("train", _train, "learn a model from a motion library")
+    train.add_argument("library", help="bag, CSV folder, or the name of a shipped one")
+    train.add_argument("--out", required=True, help="model file to write (.npz)")
+    train.add_argument("--hold-out", type=int, default=0, help="first motions of each class not trained on")
+    train.add_argument("--components", type=int, default=40, help="Gaussians per class")
+    train.add_argument("--no-phase", action="store_true", help="leave the phase out of the features")
+    train.add_argument("--seed", type=int, default=0)
+
+    imported = add("import", _import, "turn CSV motion libraries into MCAP bags")
+    imported.add_argument("source", nargs="+", help="folder with class_<k>.csv files")
+    imported.add_argument("--out", required=True, help="folder for the bags, one per library")
+    imported.add_argument("--overwrite", action="store_true", help="replace bags that exist")
+    for subparser in (train, imported):
+        subparser.add_argument(
+            "--frame-period", type=float, default=1 / 60, help="seconds between frames where a CSV has no times"
+        )
+
+    generate = add("generate", _generate, "make a synthetic motion library by simulation")
+    generate.add_argument("--out", required=True, help="bag to write")
+    generate.add_argument("--motions", type=int, default=25, help="motions per class")
+    generate.add_argument("--seed", type=int, default=0)
+    generate.add_argument("--compare", metavar="LIBRARY", help="print the statistics beside another library's")
+    generate.add_argument("--overwrite", action="store_true", help="replace a bag that exists")
+
+    report = add("report", _report, "write the HTML report of a recorded run")
+    report.add_argument("run", help="folder of the run")
+    report.add_argument("--out", help="HTML file; default: report.html in the run's folder")
+
+    replay = add("replay", _replay, "feed a run's recorded occupancy to a fresh planner and compare its decisions")
+    replay.add_argument("run", help="folder of the run")
+    replay.add_argument("--out", help="bag to write; default: replayed_bag in the run's folder")
+
+    bag = add("bag", _bag_check, "check or salvage a bag")
+    actions = bag.add_subparsers(required=True, metavar="ACTION")
+    check = actions.add_parser("check", help="read everything, with checksums")
+    check.set_defaults(command=_bag_check)
+    check.add_argument("bag")
+    salvage = actions.add_parser("salvage", help="rescue what is intact into a new bag")
+    salvage.set_defaults(command=_bag_salvage)
+    salvage.add_argument("bag")
+    salvage.add_argument("--out", required=True, help="bag to write")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,226 @@
+"""The main job: a recorded reach is replayed, predicted and planned around over DDS, and recorded."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from rich.console import Console
+
+from humanpred_ros import __version__
+from humanpred_ros.errors import UsageError
+from humanpred_ros.experiments.processes import NodeGroup, NodeProcess, ParameterValue, free_domain_id
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.bag_library import write_library_bag
+from humanpred_ros.motion.library_io import load_library
+from humanpred_ros.motion.motion import Motion, MotionLibrary
+from humanpred_ros.occupancy.factory import needs_model
+from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.model_file import load_model, save_model
+from humanpred_ros.recognition.training import train_model
+from humanpred_ros.resources import locate
+from humanpred_ros.robot.scene import Scene, load_scene
+from humanpred_ros.viewing.report import write_report
+from humanpred_ros.viewing.run import read_run
+from humanpred_ros.viewing.summary import RunSummary, print_summary, summarise
+
+_POLL_S = 0.05
+_SETTLE_S = 0.3  # the last messages reach the recorder after the tracker has ended
+_LOG_LINE = re.compile(r"^\[\w+\] \[[\d.]+\] \[stomp_planner\]: (.*)$")
+_PEERS = ("occupancy_predictor", "stomp_planner", "simulated_pr2", "run_recorder")
+
+
+@dataclass(frozen=True)
+class DemoOptions:
+    """What a demo run replays, where, and how.
+
+    Attributes:
+        scene: name in config/scenes, or a YAML file.
+        library: motion library the reach comes from and the classes are trained on.
+        trajectory: `class/index` or running number; None takes the first held-out motion of the first class.
+        model: trained model file; None trains on the library without the held-out motions.
+        hold_out: this many first motions of every class are kept from training (P1 leaves out five).
+        seed: of the planner and of training.
+        stepped: wait for the planner after every posture instead of running in real time.
+        rate: playback speed in real time.
+        steps: replanning steps per human motion (P1: 20, so 5 % each).
+        predictor: what predicts the occupancy.
+        evidence, window_frames: how the classifier weighs the postures seen (`GmmConfig`; 0 counts all).
+        threshold: voxels at or below this probability are not published.
+        hold_last_s: how long the human stays at the end, for the arm to finish.
+        out: folder of the run; None makes one below runs/.
+    """
+
+    scene: str = "face_to_face"
+    library: str = "synthetic_reaches"
+    trajectory: str | None = None
+    model: str | None = None
+    hold_out: int = 5
+    seed: int = 0
+    stepped: bool = False
+    rate: float = 1.0
+    steps: int = 20
+    predictor: str = "swept_volume"
+    evidence: str = "sum"
+    window_frames: int = 0
+    threshold: float = 0.001
+    hold_last_s: float = 6.0
+    out: str | None = None
+
+
+def run_demo(options: DemoOptions, console: Console) -> RunSummary:
+    """Run the graph once and return the summary; everything else lies in the run's folder.
+
+    Raises:
+        HumanPredError: unusable input (before anything is written), or a node that failed.
+    """
+    scene = load_scene(options.scene)
+    library = load_library(locate(options.library, "bags"))
+    human = HumanModel.kinect12()
+    human.check_dofs(library.dof_names)
+    motion = library.find(options.trajectory) if options.trajectory else library.of_class(library.labels[0])[0]
+    folder = _new_folder(options, scene, motion)
+    model = None
+    if options.model:
+        load_model(options.model, human)
+    elif needs_model(options.predictor):
+        training = training_part(library, motion, options.hold_out)
+        with console.status(f"training on {len(training)} motions of {library.name}"):
+            model = train_model(training, human, GmmConfig(seed=options.seed))
+
+    folder.mkdir(parents=True)
+    model_path = Path(options.model or folder / "model.npz").resolve()
+    if model is not None:
+        save_model(model, model_path)
+    replayed = MotionLibrary(f"motion_{motion.name.replace('/', '_')}", (motion,), library.provenance)
+    bag = write_library_bag(replayed, folder / replayed.name)
+    console.print(
+        f"[bold]{scene.name}[/bold]: motion {motion.name} of {library.name}, {motion.duration_s:.2f} s; "
+        f"goals {', '.join(goal.name for goal in scene.goals)}; run folder {folder}"
+    )
+    with NodeGroup(folder / "logs", free_domain_id()) as group:
+        _start_nodes(group, options, bag, motion, model_path, folder)
+        _follow(group, console)
+    run = read_run(folder)
+    summary = summarise(run)
+    write_report(run, summary, folder / "report.html")
+    (folder / "summary.json").write_text(summary.to_json(), encoding="utf-8")
+    print_summary(summary, console)
+    console.print(f"report  {folder / 'report.html'}\nbag     {folder / 'bag'}")
+    return summary
+
+
+def training_part(library: MotionLibrary, replayed: Motion, hold_out: int) -> MotionLibrary:
+    """Return the library without the replayed motion and the first `hold_out` motions of every class.
+
+    Raises:
+        LibraryFormatError: nothing is left.
+    """
+    held_out = {motion.name for label in library.labels for motion in library.of_class(label)[:hold_out]}
+    held_out.add(replayed.name)
+    return library.select(lambda motion: motion.name not in held_out)
+
+
+def period_of(motion: Motion, steps: int) -> float:
+    """Return the length of a replanning step: `steps` of them make up the motion."""
+    return motion.duration_s / steps
+
+
+def _new_folder(options: DemoOptions, scene: Scene, motion: Motion) -> Path:
+    if options.out:
+        folder = Path(options.out)
+        if folder.exists() and any(folder.iterdir()):
+            raise UsageError(f"{folder} exists and is not empty; choose another folder with --out")
+        if folder.exists():
+            folder.rmdir()
+        return folder
+    stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
+    return Path("runs") / f"{stamp}-{scene.name}-{motion.name.replace('/', '_')}"
+
+
+def _start_nodes(group: NodeGroup, options: DemoOptions, bag: Path, motion: Motion, model: Path, folder: Path) -> None:
+    period_s = period_of(motion, options.steps)
+    info = {
+        "scene": options.scene,
+        "library": options.library,
+        "trajectory": motion.name,
+        "seed": options.seed,
+        "mode": "stepped" if options.stepped else "real_time",
+        "rate": options.rate,
+        "period_s": repr(period_s),
+        "predictor": options.predictor,
+        "threshold": repr(options.threshold),
+        "package_version": __version__,
+        "duration_s": repr(motion.duration_s),
+    }
+    # With /clock published, stamps are simulated time; otherwise they are wall time, as on a real robot.
+    simulated_time = options.stepped or options.rate != 1.0
+    common: dict[str, ParameterValue] = {"use_sim_time": simulated_time}
+    group.start("run_recorder", {"output": str(folder / "bag"), "run_info": json.dumps(info)})
+    group.start("simulated_pr2", {**common, "scene": options.scene})
+    group.start(
+        "stomp_planner",
+        {**common, "scene": options.scene, "period_s": period_s, "seed": options.seed, "lossless": options.stepped},
+    )
+    group.start(
+        "occupancy_predictor",
+        {
+            **common,
+            "scene": options.scene,
+            "model": str(model),
+            "predictor": options.predictor,
+            "evidence": options.evidence,
+            "window_frames": options.window_frames,
+            "threshold": options.threshold,
+            "lossless": options.stepped,
+        },
+    )
+    group.start(
+        "skeleton_tracker_replay",
+        {
+            "library": str(bag),
+            "trajectory": motion.name,
+            "mode": "stepped" if options.stepped else "real_time",
+            "rate": options.rate,
+            "hold_last_s": options.hold_last_s,
+            "wait_for": ",".join(_PEERS),
+        },
+    )
+
+
+def _follow(group: NodeGroup, console: Console) -> None:
+    """Show the planner's decisions as they come until the tracker has replayed everything."""
+    tracker = next(node for node in group.nodes if node.name == "skeleton_tracker_replay")
+    planner = next(node for node in group.nodes if node.name == "stomp_planner")
+    lines = _new_lines(planner)
+    with console.status("starting the nodes") as status:
+        while tracker.running:
+            group.check()
+            for line in lines:
+                if line is None:
+                    break
+                found = _LOG_LINE.match(line)
+                if found:
+                    status.update("human is moving, arm is working")
+                    console.print(f"  {found.group(1)}", markup=False, highlight=False, soft_wrap=True)
+            time.sleep(_POLL_S)
+        group.check()
+        time.sleep(_SETTLE_S)
+
+
+def _new_lines(node: NodeProcess) -> Iterator[str | None]:
+    """Yield complete new lines of a node's log, and None whenever there are none yet."""
+    with node.log.open(encoding="utf-8", errors="replace") as stream:
+        rest = ""
+        while True:
+            rest += stream.readline()
+            if rest.endswith("\n"):
+                line, rest = rest[:-1], ""
+                yield line
+            else:
+                yield None

@@ -1,0 +1,153 @@
+"""Runs the nodes as processes and always ends them, however the parent ends."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+
+from humanpred_ros.errors import UsageError
+
+#: Signals in rising order of force, with the seconds a process is given to follow each.
+_ESCALATION = ((signal.SIGINT, 8.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 2.0))
+_POLL_S = 0.02
+_PR_SET_PDEATHSIG = 1
+_TAIL_LINES = 8
+
+ParameterValue = str | int | float | bool | Sequence[str]
+
+
+@dataclass
+class NodeProcess:
+    """One node in a process of its own, with its output in a log file."""
+
+    name: str
+    process: subprocess.Popen[bytes]
+    log: Path
+
+    @property
+    def running(self) -> bool:
+        return self.process.poll() is None
+
+    def tail(self) -> str:
+        """Return the end of the log, for error messages."""
+        lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()
+        return "\n".join(lines[-_TAIL_LINES:])
+
+
+@dataclass
+class NodeGroup:
+    """The processes of one run, on one ROS domain that only this machine sees; use as a context manager.
+
+    The nodes get sessions of their own, so that a Ctrl-C in the terminal reaches the parent alone and the
+    parent ends them in order; the kernel ends them should the parent be killed.
+
+    Attributes:
+        log_directory: one `<node>.log` each.
+        domain_id: ROS_DOMAIN_ID of the group.
+    """
+
+    log_directory: Path
+    domain_id: int
+    nodes: list[NodeProcess] = field(default_factory=list)
+
+    def start(self, node: str, parameters: Mapping[str, ParameterValue]) -> NodeProcess:
+        """Start `python -m humanpred_ros.nodes.<node>` with ROS parameters."""
+        command = [sys.executable, "-m", f"humanpred_ros.nodes.{node}", "--ros-args"]
+        for name, value in parameters.items():
+            command += ["-p", f"{name}:={_yaml(value)}"]
+        self.log_directory.mkdir(parents=True, exist_ok=True)
+        log = self.log_directory / f"{node}.log"
+        environment = {
+            **os.environ,
+            "ROS_DOMAIN_ID": str(self.domain_id),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "ROS_LOG_DIR": str(self.log_directory / "ros"),
+            "PYTHONUNBUFFERED": "1",
+        }
+        with log.open("wb") as stream:
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=stream,
+                stderr=subprocess.STDOUT,
+                env=environment,
+                start_new_session=True,
+                preexec_fn=_die_with_parent if sys.platform == "linux" else None,
+            )
+        entry = NodeProcess(node, process, log)
+        self.nodes.append(entry)
+        return entry
+
+    def check(self) -> None:
+        """Raise UsageError, with the end of its log, if a node has ended with an error."""
+        for node in self.nodes:
+            status = node.process.poll()
+            if status:
+                raise UsageError(f"{node.name} ended with status {status}; the end of {node.log}:\n{node.tail()}")
+
+    def stop(self) -> None:
+        """End every node, the last started first, by ever stronger signals."""
+        for number, patience_s in _ESCALATION:
+            alive = [node for node in reversed(self.nodes) if node.running]
+            if not alive:
+                return
+            for node in alive:
+                node.process.send_signal(number)
+            deadline = time.monotonic() + patience_s
+            while any(node.running for node in alive) and time.monotonic() < deadline:
+                time.sleep(_POLL_S)
+
+    def __enter__(self) -> NodeGroup:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        # A second Ctrl-C while stopping would leave processes behind.
+        previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            self.stop()
+        finally:
+            signal.signal(signal.SIGINT, previous)
+
+
+def free_domain_id() -> int:
+    """Return a ROS domain id whose discovery port no process of this machine is using.
+
+    DDS gives each domain UDP ports from 7400 + 250 * id (RTPS 9.6.1.1); ids up to 101 stay clear of the
+    ephemeral ports. The choice starts at a place that depends on the process id, so that two runs started
+    together differ.
+    """
+    for step in range(100):
+        domain = 1 + (os.getpid() + step) % 101
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("127.0.0.1", 7400 + 250 * domain + 10))
+            except OSError:
+                continue
+            return domain
+    raise UsageError("no free ROS domain id from 1 to 101 on this machine; end other ROS programs first")
+
+
+def _die_with_parent() -> None:
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def _yaml(value: ParameterValue) -> str:
+    """Return a value as the YAML that ROS arguments are."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return "'" + value.replace("'", "''") + "'"
+    if isinstance(value, int | float):
+        return repr(value)
+    return "[" + ", ".join(_yaml(item) for item in value) + "]"

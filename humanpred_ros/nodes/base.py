@@ -1,0 +1,99 @@
+"""What every node of the graph shares: diagnostics with readiness, and an orderly main()."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections import Counter
+from collections.abc import Callable
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+
+from humanpred_ros.errors import HumanPredError
+from humanpred_ros.nodes import qos, topics
+
+READY = "ready"
+_STATUS_PERIOD_S = 0.2
+
+
+class GraphNode(Node):
+    """A node that tells on /diagnostics whether it is ready, and counts what it refused and why.
+
+    Readiness is a matter of the graph, not of a node alone: a node is ready once the peers it cannot do
+    without have been matched, so that nothing sent from then on is lost (`waiting_for`).
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.refused: Counter[str] = Counter()
+        self.failure: HumanPredError | None = None
+        self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, qos.COMMAND)
+        # Steady time: a paused or stepped /clock must not silence the diagnostics.
+        self._status_timer = self.create_timer(
+            _STATUS_PERIOD_S, self.publish_status, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+
+    def waiting_for(self) -> str:
+        """Return what the node still waits for, or an empty string when it is ready."""
+        return ""
+
+    def refuse(self, reason: str) -> None:
+        """Count a refused input under a named reason; logged the first time only."""
+        kind = reason.split(":", 1)[0]
+        if not self.refused[kind]:
+            self.get_logger().warning(f"refused {reason} (further ones of this kind are only counted)")
+        self.refused[kind] += 1
+
+    def publish_status(self) -> None:
+        """Publish readiness and the counts of refused inputs."""
+        waiting = self.waiting_for()
+        status = DiagnosticStatus(
+            name=self.get_name(),
+            level=DiagnosticStatus.WARN if waiting or self.refused else DiagnosticStatus.OK,
+            message=f"waiting for {waiting}" if waiting else READY,
+            values=[KeyValue(key=f"refused/{kind}", value=str(count)) for kind, count in self.refused.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+    def stop_with(self, error: HumanPredError) -> None:
+        """End the process with this error: called from callbacks, where raising would only print a trace."""
+        self.failure = error
+        rclpy.try_shutdown()
+
+    def close(self) -> None:
+        """Release what must not be lost when the process ends; called once, whatever ended it."""
+
+
+def run_node(make_node: Callable[[], GraphNode], arguments: list[str] | None = None) -> int:
+    """Spin the node until a signal or its own end; return the process's exit status.
+
+    Status 0 after a signal or a finished job, 2 with one line on stderr for a HumanPredError.
+    """
+    node: GraphNode | None = None
+    failure: HumanPredError | None = None
+    try:
+        rclpy.init(args=arguments)
+        node = make_node()
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except HumanPredError as error:
+        failure = error
+    finally:
+        # A second Ctrl-C must not interrupt what close() saves.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if node is not None:
+            failure = failure or node.failure
+            node.close()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    if failure is not None:
+        print(f"{sys.argv[0]}: {failure}", file=sys.stderr)
+        return 2
+    return 0

@@ -1,0 +1,224 @@
+"""ROS messages from and to the library's types; no algorithm in here."""
+
+from __future__ import annotations
+
+import array
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from numpy.typing import NDArray
+from sensor_msgs.msg import JointState, PointCloud2, PointField
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.errors import ArrayError, PlanningError
+from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
+from humanpred_ros.planning.decision import Decision
+from humanpred_ros.planning.trajectory import TimedTrajectory
+
+NS_PER_S = 1_000_000_000
+_CENTRE_TOLERANCE = 1e-3  # of a voxel: what float32 coordinates can be off by, with room to spare
+
+
+def time_message(stamp_ns: int) -> Time:
+    """Return a Time for integer nanoseconds."""
+    return Time(sec=stamp_ns // NS_PER_S, nanosec=stamp_ns % NS_PER_S)
+
+
+def stamp_ns(stamp: Time | Duration) -> int:
+    """Return the integer nanoseconds of a Time or Duration."""
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def joint_state(names: Sequence[str], q: FloatArray, t_ns: int, frame_id: str = "", v: FloatArray | None = None) -> Any:
+    """Return a JointState with the positions `q` (D,) and, where given, velocities `v` (D,)."""
+    message = JointState(name=list(names), position=array.array("d", q))
+    if v is not None:
+        message.velocity = array.array("d", v)
+    message.header.stamp = time_message(t_ns)
+    message.header.frame_id = frame_id
+    return message
+
+
+def ordered_positions(message: JointState, names: Sequence[str]) -> FloatArray:
+    """Return the positions of `names` (D,), wherever they stand in the message.
+
+    Raises:
+        ArrayError: a name is missing, or a position is not finite.
+    """
+    where = {name: k for k, name in enumerate(message.name)}
+    missing = [name for name in names if name not in where or where[name] >= len(message.position)]
+    if missing:
+        raise ArrayError(f"missing joints: wanted {', '.join(names)}; {', '.join(missing)} did not come")
+    q = np.array([message.position[where[name]] for name in names], dtype=np.float64)
+    if not np.isfinite(q).all():
+        raise ArrayError(f"not finite: wanted numbers for {', '.join(names)}, got {q}")
+    return q
+
+
+def _cloud(columns: NDArray[Any], t_ns: int, frame_id: str) -> PointCloud2:
+    """Return an unordered cloud of a structured array, one point per element, float32 fields."""
+    message = PointCloud2(
+        height=1,
+        width=len(columns),
+        fields=[
+            PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1)
+            for k, name in enumerate(columns.dtype.names)
+        ],
+        point_step=columns.dtype.itemsize,
+        row_step=columns.nbytes,
+        is_dense=True,
+    )
+    message.data = array.array("B", columns.tobytes())
+    message.header.stamp = time_message(t_ns)
+    message.header.frame_id = frame_id
+    return message
+
+
+def occupancy_cloud(occupancy: Occupancy, threshold: float, t_ns: int, frame_id: str = "world") -> PointCloud2:
+    """Return the voxel centres with a probability above `threshold` as x, y, z, probability."""
+    flat = occupancy.voxels_above(threshold)
+    points = np.empty(len(flat), dtype=[(name, "<f4") for name in ("x", "y", "z", "probability")])
+    centres = occupancy.grid.centres_m(flat)
+    points["x"], points["y"], points["z"] = centres[:, 0], centres[:, 1], centres[:, 2]
+    points["probability"] = occupancy.probability.ravel()[flat]
+    return _cloud(points, t_ns, frame_id)
+
+
+def occupancy_from_cloud(message: PointCloud2, grid: VoxelGrid, t_s: float) -> Occupancy:
+    """Return the occupancy a cloud describes on `grid`; voxels that did not travel are 0.
+
+    Raises:
+        ArrayError: other fields than x, y, z, probability; points that are not voxel centres of `grid`;
+            probabilities that are not finite or outside [0, 1].
+    """
+    if [field.name for field in message.fields] != ["x", "y", "z", "probability"] or message.point_step != 16:
+        raise ArrayError(
+            "cloud fields: wanted float32 x, y, z, probability, "
+            f"got {', '.join(field.name for field in message.fields) or 'none'}"
+        )
+    points = np.frombuffer(message.data, dtype="<f4").reshape(-1, 4)
+    probability = np.zeros(grid.size, dtype=np.float32)
+    if len(points):
+        if not np.isfinite(points).all():
+            raise ArrayError("not finite: the occupancy cloud holds NaN or infinity")
+        flat = grid.flat_index(points[:, :3])
+        off = np.abs(grid.centres_m(np.maximum(flat, 0)) - points[:, :3]).max(axis=1)
+        if (flat < 0).any() or off.max() > _CENTRE_TOLERANCE * grid.resolution_m:
+            raise ArrayError(
+                f"other lattice: points are not voxel centres of the scene's grid "
+                f"(origin {grid.origin_m}, {grid.resolution_m} m, {grid.shape}); use one scene for both nodes"
+            )
+        probability[flat] = points[:, 3]
+    return Occupancy(grid, probability.reshape(grid.shape), t_s)
+
+
+def goals_cloud(goals_m: FloatArray, labels: Sequence[int], probability: FloatArray, t_ns: int) -> PointCloud2:
+    """Return the goal places (C, 3) of the classes with their posterior, world frame."""
+    points = np.empty(len(labels), dtype=[(name, "<f4") for name in ("x", "y", "z", "class_id", "probability")])
+    points["x"], points["y"], points["z"] = goals_m[:, 0], goals_m[:, 1], goals_m[:, 2]
+    points["class_id"], points["probability"] = labels, probability
+    return _cloud(points, t_ns, "world")
+
+
+def grid_description(grid: VoxelGrid, frame_id: str = "world") -> str:
+    """Return the lattice as JSON, for the latched description topic."""
+    return json.dumps(
+        {"frame_id": frame_id, "origin_m": grid.origin_m, "resolution_m": grid.resolution_m, "shape": grid.shape}
+    )
+
+
+def trajectory_message(names: Sequence[str], trajectory: TimedTrajectory, origin_ns: int) -> JointTrajectory:
+    """Return the trajectory with absolute times: header.stamp is its first knot, `origin_ns` its time zero."""
+    times_ns = [origin_ns + round(t * 1e9) for t in trajectory.t_s]
+    message = JointTrajectory(joint_names=list(names))
+    message.header.stamp = time_message(times_ns[0])
+    for t_ns, q, v, a in zip(times_ns, trajectory.q, trajectory.v, trajectory.a, strict=True):
+        after = t_ns - times_ns[0]
+        message.points.append(
+            JointTrajectoryPoint(
+                positions=array.array("d", q),
+                velocities=array.array("d", v),
+                accelerations=array.array("d", a),
+                time_from_start=Duration(sec=after // NS_PER_S, nanosec=after % NS_PER_S),
+            )
+        )
+    return message
+
+
+def trajectory_from_message(message: JointTrajectory, names: Sequence[str], origin_ns: int) -> TimedTrajectory:
+    """Return the trajectory of a message, with times in seconds after `origin_ns`.
+
+    Refuses what a joint trajectory controller refuses.
+
+    Raises:
+        PlanningError: other joints, no points, missing velocities or accelerations, times that do not
+            increase, values that are not finite, or a last point that still moves.
+    """
+    if list(message.joint_names) != list(names):
+        raise PlanningError(f"trajectory joints: wanted {list(names)}, got {list(message.joint_names)}")
+    if not message.points:
+        raise PlanningError("trajectory: wanted at least one point, got none")
+    start_ns = stamp_ns(message.header.stamp) - origin_ns
+    knots: list[list[Any]] = [[], [], [], []]
+    for point in message.points:
+        row = (point.positions, point.velocities, point.accelerations)
+        if any(len(part) != len(names) for part in row):
+            raise PlanningError(f"trajectory: wanted {len(names)} positions, velocities and accelerations per point")
+        knots[0].append((start_ns + stamp_ns(point.time_from_start)) * 1e-9)
+        for k, part in enumerate(row):
+            knots[k + 1].append(part)
+    t_s, q, v, a = (np.array(part, dtype=np.float64) for part in knots)
+    if not all(np.isfinite(part).all() for part in (t_s, q, v, a)):
+        raise PlanningError("trajectory: wanted finite numbers, got NaN or infinity")
+    if (np.diff(t_s) <= 0).any():
+        raise PlanningError("trajectory: wanted strictly increasing times")
+    if np.abs(v[-1]).max() > 1e-9:
+        raise PlanningError(f"trajectory: wanted rest at the last point, got velocities {v[-1]}")
+    return TimedTrajectory(t_s, q, v, a)
+
+
+def decision_message(decision: Decision, t_ns: int, compute_ms: float) -> DiagnosticArray:
+    """Return a decision as one status for itself and one per goal; numbers are written so that they read back exactly."""
+    head = DiagnosticStatus(
+        name="decision",
+        level=DiagnosticStatus.WARN if decision.action in ("hold", "missed") else DiagnosticStatus.OK,
+        message=decision.action,
+        values=_key_values(
+            step=decision.step if decision.goals else -1,
+            chosen=decision.chosen or "",
+            previous=decision.previous or "",
+            switched=str(decision.switched).lower(),
+            reason=decision.reason,
+            t_switch_s=repr(float(decision.t_switch_s)),
+            compute_ms=f"{compute_ms:.3f}",
+        ),
+    )
+    message = DiagnosticArray(status=[head])
+    for goal in decision.goals:
+        verdict = (
+            "chosen" if goal.name == decision.chosen and goal.valid else "candidate" if goal.valid else goal.reason
+        )
+        values = {
+            "selection_cost": repr(goal.selection_cost),
+            "human": repr(goal.human),
+            "length": repr(goal.length),
+            "valid": str(goal.valid).lower(),
+            "iterations": goal.iterations,
+            "warm_start": goal.warm_start,
+            **{f"cost/{term}": repr(float(cost)) for term, cost in goal.cost.items()},
+        }
+        level = DiagnosticStatus.OK if goal.valid else DiagnosticStatus.ERROR
+        message.status.append(
+            DiagnosticStatus(name=goal.name, level=level, message=verdict, values=_key_values(**values))
+        )
+    message.header.stamp = time_message(t_ns)
+    return message
+
+
+def _key_values(**values: Any) -> list[KeyValue]:
+    return [KeyValue(key=key, value=str(value)) for key, value in values.items()]

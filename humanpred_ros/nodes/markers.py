@@ -1,0 +1,70 @@
+"""Pictures for people: markers of the skeleton, the occupancy and the candidate paths."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Vector3
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.occupancy.grid import Occupancy
+
+#: Pairs of named points of the human joined by a line.
+BONES = (
+    ("head", "neck"), ("neck", "torso"), ("torso", "pelvis"),
+    ("neck", "left_shoulder"), ("left_shoulder", "left_elbow"), ("left_elbow", "left_palm"),
+    ("neck", "right_shoulder"), ("right_shoulder", "right_elbow"), ("right_elbow", "right_palm"),
+    ("pelvis", "left_hip"), ("left_hip", "left_knee"), ("left_knee", "left_foot"),
+    ("pelvis", "right_hip"), ("right_hip", "right_knee"), ("right_knee", "right_foot"),
+)  # fmt: skip
+
+_SMALLEST_SHOWN = 0.05  # probability below which a voxel is not worth a cube
+
+
+def _points(positions: FloatArray) -> list[Point]:
+    return [Point(x=float(x), y=float(y), z=float(z)) for x, y, z in positions]
+
+
+def _marker(kind: int, namespace: str, frame_id: str, stamp: Time, width_m: float, colour: ColorRGBA) -> Marker:
+    marker = Marker(ns=namespace, type=kind, action=Marker.ADD, color=colour)
+    marker.header.frame_id = frame_id
+    marker.header.stamp = stamp
+    marker.scale = Vector3(x=width_m, y=width_m, z=width_m)
+    marker.pose.orientation.w = 1.0
+    return marker
+
+
+def skeleton_markers(points: Mapping[str, FloatArray], frame_id: str, stamp: Time) -> MarkerArray:
+    """Return the bones between the named points (3,) that are known."""
+    marker = _marker(Marker.LINE_LIST, "skeleton", frame_id, stamp, 0.03, ColorRGBA(r=0.9, g=0.6, b=0.3, a=1.0))
+    for first, second in BONES:
+        if first in points and second in points:
+            marker.points += _points(np.array([points[first], points[second]]))
+    return MarkerArray(markers=[marker])
+
+
+def occupancy_markers(occupancy: Occupancy, stamp: Time) -> MarkerArray:
+    """Return one cube per voxel that is likely enough, the more opaque the likelier."""
+    flat = occupancy.voxels_above(_SMALLEST_SHOWN)
+    size = 0.9 * occupancy.grid.resolution_m
+    marker = _marker(Marker.CUBE_LIST, "occupancy", "world", stamp, size, ColorRGBA(r=0.9, g=0.2, b=0.2, a=1.0))
+    marker.points = _points(occupancy.grid.centres_m(flat))
+    marker.colors = [
+        ColorRGBA(r=0.9, g=0.2, b=0.2, a=0.1 + 0.5 * float(p)) for p in occupancy.probability.ravel()[flat]
+    ]
+    return MarkerArray(markers=[marker])
+
+
+def candidate_markers(paths: Sequence[tuple[str, FloatArray, bool]], stamp: Time) -> MarkerArray:
+    """Return one line per candidate: (goal name, tool positions (N, 3) in the world, chosen)."""
+    array = MarkerArray()
+    for name, positions, chosen in paths:
+        colour = ColorRGBA(r=0.1, g=0.8, b=0.2, a=1.0) if chosen else ColorRGBA(r=0.6, g=0.6, b=0.6, a=0.8)
+        marker = _marker(Marker.LINE_STRIP, f"candidate/{name}", "world", stamp, 0.012, colour)
+        marker.points = _points(positions)
+        array.markers.append(marker)
+    return array

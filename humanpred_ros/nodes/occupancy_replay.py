@@ -1,0 +1,74 @@
+"""Feeds a recorded run's occupancy to a fresh planner, to see whether it decides the same."""
+
+from __future__ import annotations
+
+import sys
+
+from rclpy.duration import Duration
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState, PointCloud2
+
+from humanpred_ros.errors import BagError
+from humanpred_ros.nodes import conversions, qos, topics
+from humanpred_ros.nodes.base import run_node
+from humanpred_ros.nodes.parameters import declare
+from humanpred_ros.nodes.settings import OccupancyReplaySettings
+from humanpred_ros.nodes.stepping import SteppedSource
+from humanpred_ros.recording.reader import BagReader
+
+
+class OccupancyReplay(SteppedSource):
+    """Publishes the occupancies that were decided on, one decision at a time, and the arm's first state.
+
+    Time is the recording's: /clock follows the stamps.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("occupancy_replay")
+        settings = declare(self, OccupancyReplaySettings)
+        bag = BagReader(settings.bag)
+        decided = {conversions.stamp_ns(decision.header.stamp) for _, decision in bag.decoded(topics.DECISION)}
+        recorded = (deserialize_message(record.data, PointCloud2) for record in bag.messages([topics.OCCUPANCY]))
+        clouds = {conversions.stamp_ns(cloud.header.stamp): cloud for cloud in recorded}
+        states = bag.messages([topics.JOINT_STATES])
+        arm = next((deserialize_message(record.data, JointState) for record in states), None)
+        self.clouds = [clouds[stamp] for stamp in sorted(decided & clouds.keys())]
+        if not self.clouds or arm is None:
+            raise BagError(f"{settings.bag}: wanted decisions, occupancies and joint states, got no complete set")
+        self.arm = arm
+        self.next = 0
+        self.publisher = self.create_publisher(PointCloud2, topics.OCCUPANCY, qos.SENSOR_PUBLISHER)
+        self.arm_publisher = self.create_publisher(JointState, topics.JOINT_STATES, qos.SENSOR_PUBLISHER)
+        self.arm_timer = self.create_timer(
+            0.1, lambda: self.arm_publisher.publish(self.arm), clock=self._status_timer.clock
+        )
+        self.wait_for_graph(stepped=True, clock=True, peers=settings.wait_for, patience_s=(60.0, 30.0))
+
+    def waiting_for(self) -> str:
+        return super().waiting_for() or ("" if self.publisher.get_subscription_count() else "a subscriber")
+
+    def publish_next(self) -> None:
+        """Publish the next occupancy, or finish after the last."""
+        if self.next == len(self.clouds):
+            self.finish("the recording has ended")
+            return
+        cloud = self.clouds[self.next]
+        self.next += 1
+        t_ns = conversions.stamp_ns(cloud.header.stamp)
+        self.sent(t_ns)
+        self.publish_clock(t_ns)
+        self.publisher.publish(cloud)
+
+    def finish(self, reason: str) -> None:
+        """End the process once everything sent has arrived."""
+        self.publisher.wait_for_all_acked(Duration(seconds=1))
+        super().finish(reason)
+
+
+def main() -> None:
+    """Console entry point."""
+    sys.exit(run_node(OccupancyReplay))
+
+
+if __name__ == "__main__":
+    main()

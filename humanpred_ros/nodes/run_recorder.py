@@ -1,0 +1,96 @@
+"""Records a whole run to an MCAP bag, byte for byte as it went over the wire."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import MarkerArray
+
+from humanpred_ros.errors import UsageError
+from humanpred_ros.nodes import qos, topics
+from humanpred_ros.nodes.base import GraphNode, run_node
+from humanpred_ros.nodes.parameters import declare
+from humanpred_ros.nodes.settings import RunRecorderSettings
+from humanpred_ros.recording.qos import DEFAULT_QOS, LATCHED_QOS
+from humanpred_ros.recording.writer import BagWriter
+
+_FLUSH_PERIOD_S = 0.5
+
+
+class RunRecorder(GraphNode):
+    """Subscribes to the graph's topics as serialized bytes and writes them as they come.
+
+    log_time is the wall time of receipt, publish_time the sender's, so latencies between nodes can be
+    read off the bag.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("run_recorder")
+        self.settings = settings = declare(self, RunRecorderSettings)
+        if not settings.output:
+            raise UsageError("parameter output: wanted the folder of the new bag, got nothing")
+        try:
+            info = json.loads(settings.run_info)
+        except json.JSONDecodeError as error:
+            raise UsageError(f"parameter run_info: wanted a JSON object; {error}") from error
+        self.writer = BagWriter(settings.output)
+        self.writer.add_metadata("run", {key: str(value) for key, value in info.items()})
+        body = settings.body_id
+        recorded: list[tuple[str, Any, Any]] = [
+            (topics.human_joint_states(body), JointState, qos.LOSSLESS),
+            (topics.human_urdf(body), String, qos.LATCHED),
+            (topics.OCCUPANCY, PointCloud2, qos.LOSSLESS),
+            (topics.VOXEL_GRID, String, qos.LATCHED),
+            (topics.HUMAN_GOALS, PointCloud2, qos.LOSSLESS),
+            (topics.DECISION, DiagnosticArray, qos.LOSSLESS),
+            (topics.TRAJECTORY, JointTrajectory, qos.LOSSLESS),
+            (topics.JOINT_STATES, JointState, qos.LOSSLESS),
+            (topics.DIAGNOSTICS, DiagnosticArray, qos.LOSSLESS),
+            (topics.CLOCK, Clock, qos.LOSSLESS),
+        ]
+        if settings.markers:
+            recorded += [
+                (topics.human_markers(body), MarkerArray, qos.LOSSLESS),
+                (topics.OCCUPANCY_MARKERS, MarkerArray, qos.LOSSLESS),
+                (topics.CANDIDATES, MarkerArray, qos.LOSSLESS),
+            ]
+        self.inputs = {topic: self._record(topic, kind, profile) for topic, kind, profile in recorded}
+        self.wanted = [topic for topic in settings.wait_for.replace("<id>", body).split(",") if topic]
+        unknown = [topic for topic in self.wanted if topic not in self.inputs]
+        if unknown:
+            raise UsageError(f"parameter wait_for: wanted recorded topics, got {', '.join(unknown)}")
+        self.create_timer(_FLUSH_PERIOD_S, self.writer.flush, clock=self._status_timer.clock)
+
+    def _record(self, topic: str, kind: Any, profile: Any) -> Any:
+        name = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
+        self.writer.add_topic(topic, name, qos=LATCHED_QOS if profile is qos.LATCHED else DEFAULT_QOS)
+
+        def on_message(data: bytes, info: Any) -> None:
+            self.writer.write(topic, info["received_timestamp"], bytes(data), info["source_timestamp"])
+
+        return self.create_subscription(kind, topic, on_message, profile, raw=True)
+
+    def waiting_for(self) -> str:
+        missing = [topic for topic in self.wanted if not self.inputs[topic].get_publisher_count()]
+        return f"a publisher of {', '.join(missing)}" if missing else ""
+
+    def close(self) -> None:
+        """Finish the bag: without this it would have to be salvaged."""
+        self.writer.close()
+        self.get_logger().info(f"bag written: {self.settings.output}")
+
+
+def main() -> None:
+    """Console entry point."""
+    sys.exit(run_node(RunRecorder))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,105 @@
+"""Every node's parameters, declared once: name, default, range and description.
+
+The nodes declare their ROS parameters from these dataclasses (`parameters.declare`), and a test checks
+config/nodes.yaml against them, so a default lives in exactly one place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from humanpred_ros.planning.replanner import ReplannerConfig
+from humanpred_ros.planning.stomp import StompConfig
+
+_REPLANNER = ReplannerConfig()
+_STOMP = StompConfig()
+
+
+def setting(default: Any, description: str, low: float | None = None, high: float | None = None) -> Any:
+    """Return a dataclass field that carries a parameter's description and, for numbers, its range."""
+    metadata = {"description": description, "low": low, "high": high}
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class SkeletonTrackerReplaySettings:
+    """Parameters of `skeleton_tracker_replay`."""
+
+    library: str = setting("synthetic_reaches", "motion library: a rosbag2 directory, a CSV folder, or a shipped name")
+    trajectory: str = setting("0/0", "motion to replay: class/index, or the running number over sorted classes")
+    body_id: str = setting("body_0", "REP-155 body id, part of the topic names")
+    mode: str = setting("real_time", "real_time, or stepped: wait for the planner's decision after every posture")
+    rate: float = setting(1.0, "playback speed in real_time mode", 0.05, 20.0)
+    hold_last_s: float = setting(4.0, "seconds the last posture is repeated after the motion's end", 0.0, 600.0)
+    wait_for: str = setting("", "comma-separated nodes whose /diagnostics must say ready before the replay starts")
+    ready_timeout_s: float = setting(60.0, "longest wait for those nodes", 0.1, 600.0)
+    decision_timeout_s: float = setting(30.0, "longest wait for one decision in stepped mode", 0.1, 600.0)
+    publish_clock: bool = setting(False, "publish /clock; always on in stepped mode")
+
+
+@dataclass(frozen=True)
+class OccupancyPredictorSettings:
+    """Parameters of `occupancy_predictor`."""
+
+    scene: str = setting("face_to_face", "scene name in config/scenes, or a YAML file")
+    model: str = setting("", "model file made by `humanpred train`; empty: train on `library` at start")
+    library: str = setting("synthetic_reaches", "library trained on when no model is given")
+    classifier: str = setting("gmm", "how the class of a partial motion is recognised")
+    evidence: str = setting("sum", "sum or mean of the postures' log densities")
+    window_frames: int = setting(0, "count only so many last postures; 0 counts all", 0, 100000)
+    predictor: str = setting("swept_volume", "swept_volume (P1), current or current_accumulated (baselines)")
+    body_id: str = setting("body_0", "REP-155 body id listened to")
+    threshold: float = setting(0.001, "voxels with a higher probability are published", 0.0, 1.0)
+    restart_gap_s: float = setting(1.0, "a longer silence starts a new motion", 0.05, 60.0)
+    lossless: bool = setting(False, "subscribe reliably and keep every posture (stepped runs)")
+
+
+@dataclass(frozen=True)
+class StompPlannerSettings:
+    """Parameters of `stomp_planner`."""
+
+    scene: str = setting("face_to_face", "scene name in config/scenes, or a YAML file")
+    period_s: float = setting(_REPLANNER.period_s, "length of a replanning step", 0.02, 10.0)
+    seed: int = setting(_REPLANNER.seed, "seed of every random draw", 0, 2**31 - 1)
+    threads: int = setting(_REPLANNER.n_threads, "goals planned at the same time", 1, 64)
+    waypoints: int = setting(_STOMP.n_waypoints, "waypoints of a path", 10, 1000)
+    iterations: int = setting(_STOMP.n_iterations, "STOMP iterations per goal and step", 1, 10000)
+    rollouts: int = setting(_STOMP.n_rollouts, "noisy rollouts per iteration", 2, 1000)
+    max_human_age_s: float = setting(0.5, "older human occupancy leads to a hold", 0.02, 60.0)
+    lossless: bool = setting(False, "subscribe reliably and keep every occupancy (stepped runs)")
+
+    def replanner_config(self) -> ReplannerConfig:
+        """Return the replanner's configuration these parameters stand for."""
+        stomp = replace(_STOMP, n_waypoints=self.waypoints, n_iterations=self.iterations, n_rollouts=self.rollouts)
+        return replace(_REPLANNER, period_s=self.period_s, seed=self.seed, n_threads=self.threads, stomp=stomp)
+
+
+@dataclass(frozen=True)
+class SimulatedPr2Settings:
+    """Parameters of `simulated_pr2`."""
+
+    scene: str = setting("face_to_face", "scene whose start configuration the arm is in")
+    rate_hz: float = setting(100.0, "joint states per second", 1.0, 1000.0)
+
+
+@dataclass(frozen=True)
+class RunRecorderSettings:
+    """Parameters of `run_recorder`."""
+
+    output: str = setting("", "folder of the bag; must not exist yet")
+    body_id: str = setting("body_0", "REP-155 body id recorded")
+    wait_for: str = setting(
+        "/humans/bodies/<id>/joint_states,/human_occupancy,/stomp_planner/decision,/joint_states",
+        "comma-separated topics that must have a publisher before the recorder calls itself ready",
+    )
+    run_info: str = setting("{}", "JSON object of facts about the run, stored in the bag as metadata")
+    markers: bool = setting(True, "record the markers too (their publishers are silent otherwise)")
+
+
+@dataclass(frozen=True)
+class OccupancyReplaySettings:
+    """Parameters of `occupancy_replay`."""
+
+    bag: str = setting("", "bag of a recorded run")
+    wait_for: str = setting("", "comma-separated nodes whose /diagnostics must say ready before the replay starts")

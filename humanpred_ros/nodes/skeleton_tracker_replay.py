@@ -1,0 +1,134 @@
+"""Replays a recorded human motion as a skeleton tracker would deliver it."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import numpy as np
+from rclpy.duration import Duration
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
+
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.errors import UsageError
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.library_io import load_library
+from humanpred_ros.nodes import conversions, qos, topics
+from humanpred_ros.nodes.base import run_node
+from humanpred_ros.nodes.markers import skeleton_markers
+from humanpred_ros.nodes.parameters import declare
+from humanpred_ros.nodes.settings import SkeletonTrackerReplaySettings
+from humanpred_ros.nodes.stepping import SteppedSource
+from humanpred_ros.resources import locate
+
+#: Where simulated time starts: ROS reads time 0 as "no clock yet".
+SIMULATED_ORIGIN_NS = conversions.NS_PER_S
+_CLOCK_PERIOD_NS = 5_000_000
+_MARKER_PERIOD_NS = 100_000_000
+
+
+class SkeletonTrackerReplay(SteppedSource):
+    """Publishes one motion's postures at their recorded times, at a rate, or step by step.
+
+    In `stepped` mode the next posture goes out only after the planner's decision on the last one came
+    back, so that a run does not depend on how fast the machine is.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("skeleton_tracker_replay")
+        self.settings = settings = declare(self, SkeletonTrackerReplaySettings)
+        if settings.mode not in ("real_time", "stepped"):
+            raise UsageError(f"parameter mode: wanted real_time or stepped, got {settings.mode!r}")
+        stepped = settings.mode == "stepped"
+        self.simulated_time = stepped or settings.publish_clock or settings.rate != 1.0
+        self.human = HumanModel.kinect12()
+        library = load_library(locate(settings.library, "bags"))
+        self.human.check_dofs(library.dof_names)
+        self.motion = library.find(settings.trajectory)
+        self.offsets_ns, self.postures = self._timeline()
+        self.next_frame = 0
+        self.origin_ns = SIMULATED_ORIGIN_NS
+        self.last_clock_ns = self.last_marker_ns = -_MARKER_PERIOD_NS
+
+        body = settings.body_id
+        self.posture_publisher = self.create_publisher(
+            JointState, topics.human_joint_states(body), qos.SENSOR_PUBLISHER
+        )
+        self.marker_publisher = self.create_publisher(MarkerArray, topics.human_markers(body), qos.MARKERS)
+        self.urdf_publisher = self.create_publisher(String, topics.human_urdf(body), qos.LATCHED)
+        self.urdf_publisher.publish(String(data=self.human.urdf))
+        self.get_logger().info(
+            f"motion {self.motion.name} of {library.name}: {len(self.motion)} postures, {self.motion.duration_s:.2f} s"
+        )
+        self.wait_for_graph(
+            stepped=stepped,
+            clock=self.simulated_time,
+            peers=settings.wait_for,
+            patience_s=(settings.ready_timeout_s, settings.decision_timeout_s),
+        )
+
+    def _timeline(self) -> tuple[list[int], FloatArray]:
+        """Return the offsets from the start (ns) and the postures, the held last posture included."""
+        offsets_ns, recorded = self.motion.timeline(int(self.settings.hold_last_s / self.motion.period_s))
+        postures = np.empty_like(recorded)
+        postures[:, [self.human.dof_names.index(name) for name in self.motion.dof_names]] = recorded
+        return offsets_ns, postures
+
+    def waiting_for(self) -> str:
+        return super().waiting_for() or ("" if self.posture_publisher.get_subscription_count() else "a subscriber")
+
+    def begin(self) -> None:
+        if not self.simulated_time:
+            self.origin_ns = self.get_clock().now().nanoseconds
+        self.get_logger().info(f"replay starts ({self.settings.mode}, rate {self.settings.rate:g})")
+
+    def arrived(self) -> None:
+        if self.next_frame >= len(self.motion) and not self.finished:
+            self.finish("the robot has arrived")
+
+    def publish_due(self) -> None:
+        elapsed_ns = int((time.monotonic() - self.begun_s) * 1e9 * self.settings.rate)
+        if self.simulated_time and elapsed_ns - self.last_clock_ns >= _CLOCK_PERIOD_NS:
+            self.last_clock_ns = elapsed_ns
+            self.publish_clock(self.origin_ns + elapsed_ns)
+        while (
+            not self.finished
+            and self.next_frame < len(self.offsets_ns)
+            and self.offsets_ns[self.next_frame] <= elapsed_ns
+        ):
+            self.publish_next()
+        if self.next_frame == len(self.offsets_ns):
+            self.finish("the recording has ended")
+
+    def publish_next(self) -> None:
+        """Publish the next posture, or finish after the last."""
+        if self.next_frame == len(self.offsets_ns):
+            self.finish("the recording has ended")
+            return
+        offset_ns, q = self.offsets_ns[self.next_frame], self.postures[self.next_frame]
+        t_ns, frame_id = self.origin_ns + offset_ns, self.motion.frame_id
+        self.next_frame += 1
+        self.sent(t_ns)
+        if self.stepped:
+            self.publish_clock(t_ns)
+        self.posture_publisher.publish(conversions.joint_state(self.human.dof_names, q, t_ns, frame_id))
+        if self.marker_publisher.get_subscription_count() and offset_ns - self.last_marker_ns >= _MARKER_PERIOD_NS:
+            self.last_marker_ns = offset_ns
+            markers = skeleton_markers(self.human.forward(q), frame_id, conversions.time_message(t_ns))
+            self.marker_publisher.publish(markers)
+
+    def finish(self, reason: str) -> None:
+        """End the process once everything sent has arrived."""
+        self.posture_publisher.wait_for_all_acked(Duration(seconds=1))
+        super().finish(reason)
+
+
+def main() -> None:
+    """Console entry point."""
+    sys.exit(run_node(SkeletonTrackerReplay))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,147 @@
+"""Keeps the arm working on the task that disturbs the person least."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.duration import Duration
+from sensor_msgs.msg import JointState, PointCloud2
+from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import MarkerArray
+
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.errors import ArrayError
+from humanpred_ros.nodes import conversions, qos, topics
+from humanpred_ros.nodes.base import GraphNode, run_node
+from humanpred_ros.nodes.markers import candidate_markers
+from humanpred_ros.nodes.parameters import declare
+from humanpred_ros.nodes.settings import StompPlannerSettings
+from humanpred_ros.occupancy.grid import Occupancy
+from humanpred_ros.planning.decision import Decision
+from humanpred_ros.planning.replanner import MultiGoalReplanner
+from humanpred_ros.robot.scene import load_scene
+
+_WATCH_PERIOD_S = 0.05
+
+
+class StompPlannerNode(GraphNode):
+    """P1's Algorithm 1 on topics: an occupancy comes in, a decision goes out, and a trajectory when due.
+
+    Every occupancy is answered by exactly one decision with the same stamp. Human data that are stale,
+    or that cannot be used, lead to a hold with a named reason, never to planning as if nobody were there.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("stomp_planner")
+        self.settings = settings = declare(self, StompPlannerSettings)
+        self.scene = load_scene(settings.scene)
+        self.replanner = MultiGoalReplanner.for_scene(self.scene, settings.replanner_config())
+        self.replanner.warm_up()
+        self.arm_q: FloatArray | None = None
+        self.origin_ns: int | None = None
+        self.last_ns = 0
+        self.holding = False
+
+        self.trajectory_publisher = self.create_publisher(JointTrajectory, topics.TRAJECTORY, qos.COMMAND)
+        self.decision_publisher = self.create_publisher(DiagnosticArray, topics.DECISION, qos.SENSOR_PUBLISHER)
+        self.candidate_publisher = self.create_publisher(MarkerArray, topics.CANDIDATES, qos.MARKERS)
+        self.create_subscription(JointState, topics.JOINT_STATES, self.on_joint_state, qos.NEWEST_ONLY)
+        self.create_subscription(
+            PointCloud2,
+            topics.OCCUPANCY,
+            self.on_occupancy,
+            qos.sensor_subscription(settings.lossless, newest_only=True),
+        )
+        self.create_timer(_WATCH_PERIOD_S, self.watch)
+
+    def waiting_for(self) -> str:
+        if self.arm_q is None:
+            return f"the arm's joints on {topics.JOINT_STATES}"
+        return "" if self.trajectory_publisher.get_subscription_count() else "a controller for the trajectory"
+
+    def on_joint_state(self, message: JointState) -> None:
+        """Remember where the arm is: planning begins there, and begins anew when the clock jumps back."""
+        try:
+            self.arm_q = conversions.ordered_positions(message, self.replanner.joint_names)
+        except ArrayError as error:
+            self.refuse(str(error))
+
+    def on_occupancy(self, message: PointCloud2) -> None:
+        """Answer one occupancy with one decision."""
+        received_s = time.perf_counter()
+        stamp_ns = conversions.stamp_ns(message.header.stamp)
+        if self.arm_q is None:
+            self.refuse("no arm: an occupancy came before the arm's joint states")
+            return
+        if self.origin_ns is None or stamp_ns < self.last_ns:
+            self.restart(stamp_ns)
+        self.last_ns = stamp_ns
+        t_s = (stamp_ns - self.origin_ns) * 1e-9
+        try:
+            occupancy = conversions.occupancy_from_cloud(message, self.scene.grid, t_s)
+        except ArrayError as error:
+            self.refuse(str(error))
+            self.publish(self.replanner.hold(self.now_s(), f"invalid human data: {error}"), stamp_ns, received_s)
+            return
+        self.holding = False
+        decision = self.decide(occupancy)
+        self.publish(decision, stamp_ns, received_s)
+
+    def decide(self, occupancy: Occupancy) -> Decision:
+        """Replan when a step is due; a plan that comes too late to be switched to is reported, not sent."""
+        if not self.replanner.due(occupancy.t_s):
+            return self.replanner.keep(occupancy)
+        decision = self.replanner.plan(occupancy)
+        if decision.trajectory is not None and not self.settings.lossless and self.now_s() >= decision.t_switch_s:
+            return self.replanner.missed(decision)
+        self.replanner.commit(decision)
+        return decision
+
+    def restart(self, stamp_ns: int) -> None:
+        """Begin anew from where the arm is: at the first occupancy, and when the clock jumped back."""
+        self.origin_ns = stamp_ns
+        self.replanner.start(self.arm_q, 0.0)
+
+    def now_s(self) -> float:
+        """Return the node's time in seconds after the first occupancy."""
+        return (self.get_clock().now().nanoseconds - self.origin_ns) * 1e-9
+
+    def watch(self) -> None:
+        """Hold when the last human data have become too old to act on."""
+        if self.origin_ns is None or self.holding:
+            return
+        age_s = (self.get_clock().now().nanoseconds - self.last_ns) * 1e-9
+        if age_s > self.settings.max_human_age_s:
+            self.holding = True
+            reason = f"stale human data: {age_s:.2f} s old, at most {self.settings.max_human_age_s:g} s allowed"
+            self.publish(self.replanner.hold(self.now_s(), reason), self.last_ns, time.perf_counter())
+
+    def publish(self, decision: Decision, stamp_ns: int, received_s: float) -> None:
+        """Send the trajectory first, then the decision: who waits for the decision finds the arm informed."""
+        if decision.trajectory is not None:
+            self.trajectory_publisher.publish(
+                conversions.trajectory_message(self.replanner.joint_names, decision.trajectory, self.origin_ns)
+            )
+            if self.settings.lossless:
+                self.trajectory_publisher.wait_for_all_acked(Duration(seconds=1))
+        if decision.goals or decision.action == "hold":
+            self.get_logger().info(f"t {decision.stamp_s:5.2f} s  {decision.summary()}")
+        compute_ms = 1e3 * (time.perf_counter() - received_s)
+        self.decision_publisher.publish(conversions.decision_message(decision, stamp_ns, compute_ms))
+        if decision.goals and self.candidate_publisher.get_subscription_count():
+            paths = [
+                (goal.name, self.replanner.tool_path(goal.path), goal.name == decision.chosen)
+                for goal in decision.goals
+            ]
+            self.candidate_publisher.publish(candidate_markers(paths, conversions.time_message(stamp_ns)))
+
+
+def main() -> None:
+    """Console entry point."""
+    sys.exit(run_node(StompPlannerNode))
+
+
+if __name__ == "__main__":
+    main()
