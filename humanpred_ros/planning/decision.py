@@ -1,0 +1,137 @@
+"""What one replanning step decided and why: the record that reports, bags and tests compare.
+
+Two decisions are equal if every number in them is, bit for bit. The computing time is kept apart from that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+
+import numpy as np
+
+from humanpred_ros.checks import FloatArray, frozen
+from humanpred_ros.planning.trajectory import TimedTrajectory
+
+REPLAN = "replan"
+KEEP = "keep"
+HOLD = "hold"
+ARRIVED = "arrived"
+MISSED = "missed"
+
+
+@dataclass(frozen=True, eq=False)
+class GoalReport:
+    """The best path found to one goal in one replanning step.
+
+    Attributes:
+        name: the goal's.
+        cost: weighted share of each cost term, summed over waypoints.
+        total: sum of the shares.
+        human: human occupancy cost (unweighted) integrated over the path, in configuration distance.
+        length: of the path, in configuration distance.
+        selection_cost: what goals are compared by.
+        path: (N, D) waypoints, from where the robot will be to the goal, rad.
+        valid: whether every waypoint is allowed.
+        reason: why it is not; empty if it is.
+        iterations: STOMP updates done; 0 where no plan was needed.
+        warm_start: where the first path came from: "straight", "executing", a `Reconnection.kind`, or
+            "arrived" where the robot is at the goal.
+    """
+
+    name: str
+    cost: Mapping[str, float]
+    total: float
+    human: float
+    length: float
+    selection_cost: float
+    path: FloatArray
+    valid: bool
+    reason: str
+    iterations: int
+    warm_start: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cost", MappingProxyType(dict(self.cost)))
+        object.__setattr__(self, "path", frozen(self.path))
+
+    def __eq__(self, other: object) -> bool:
+        return _same(self, other)
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """What the replanner says to one occupancy (P1 Alg. 1), or on its own when it must stop.
+
+    Attributes:
+        stamp_s: stamp of the occupancy it follows from; of the hold, if it is one.
+        step: number of the replanning step, from 1 as in P1; of the last one (0 before any) if none was due.
+        action: "replan" (`trajectory` takes over at `t_switch_s`), "keep" (the trajectory being executed goes
+            on), "hold" (stop, or stay stopped), "arrived" (at rest at the chosen goal) or "missed" (a plan
+            that came too late and is not executed).
+        reason: why, in words.
+        chosen: name of the goal being worked on; None before the first choice.
+        previous: the same before this step.
+        goals: one report per goal, in the scene's order; empty where nothing was planned.
+        t_switch_s: when `trajectory` takes over; NaN if there is none.
+        trajectory: to be executed, in absolute time; None where nothing changes.
+        compute_s: seconds spent; not part of the comparison.
+    """
+
+    stamp_s: float
+    step: int
+    action: str
+    reason: str
+    chosen: str | None
+    previous: str | None
+    goals: tuple[GoalReport, ...] = ()
+    t_switch_s: float = float("nan")
+    trajectory: TimedTrajectory | None = None
+    compute_s: float = field(default=0.0, compare=False)
+
+    @property
+    def switched(self) -> bool:
+        """Whether another goal was chosen than before."""
+        return self.previous is not None and self.chosen != self.previous
+
+    def report(self, name: str) -> GoalReport:
+        """Return the report of one goal.
+
+        Raises:
+            KeyError: if this decision has none of that name.
+        """
+        for report in self.goals:
+            if report.name == name:
+                return report
+        raise KeyError(name)
+
+    def summary(self) -> str:
+        """Return one line for people: action, goal, reason and what every goal would have cost."""
+        goals = ", ".join(
+            f"{goal.name} {goal.selection_cost:.4f}" if goal.valid else f"{goal.name} impossible ({goal.reason})"
+            for goal in self.goals
+        )
+        goal = f" {self.chosen}" if self.chosen else ""
+        change = f" (was {self.previous})" if self.switched else ""
+        return f"step {self.step}: {self.action}{goal}{change}: {self.reason}" + (f" [{goals}]" if goals else "")
+
+    def __eq__(self, other: object) -> bool:
+        return _same(self, other)
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+def _same(one: GoalReport | Decision, other: object) -> bool:
+    if type(other) is not type(one):
+        return False
+    for part in fields(one):
+        if not part.compare:
+            continue
+        a, b = getattr(one, part.name), getattr(other, part.name)
+        same = np.array_equal(a, b, equal_nan=True) if isinstance(a, np.ndarray | float) else a == b
+        if not same:
+            return False
+    return True

@@ -1,0 +1,39 @@
+"""Which trajectory the robot executes when: the one thing that changes while it works."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from humanpred_ros.checks import FloatArray, checked
+from humanpred_ros.errors import PlanningError
+from humanpred_ros.planning.trajectory import TimedTrajectory, at_rest
+
+_REMEMBERED = 8
+
+
+class Schedule:
+    """Trajectories and the times from which they are executed, the last few of them."""
+
+    def __init__(self, q: ArrayLike, t_s: float) -> None:
+        """Begin with a robot at rest at `q` (D,)."""
+        rest = checked("start configuration", q, ("D",), error=PlanningError)
+        self._entries = [(float(t_s), at_rest(rest, t_s))]
+
+    def add(self, from_s: float, trajectory: TimedTrajectory) -> None:
+        """Let `trajectory` take over at `from_s`; whatever was to take over then or later is dropped."""
+        kept = [entry for entry in self._entries if entry[0] < from_s] or self._entries[:1]
+        self._entries = [*kept, (from_s, trajectory)][-_REMEMBERED:]
+
+    def at(self, t_s: float) -> TimedTrajectory:
+        """Return the trajectory executed at `t_s`."""
+        for from_s, trajectory in reversed(self._entries):
+            if from_s <= t_s:
+                return trajectory
+        return self._entries[0][1]
+
+    def state_at(self, t_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return position, velocity and acceleration (D,) at `t_s`."""
+        if not np.isfinite(t_s):
+            raise PlanningError(f"state of the robot: wanted a finite time, got {t_s}")
+        return self.at(t_s).sample(t_s)

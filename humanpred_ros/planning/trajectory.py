@@ -1,0 +1,121 @@
+"""Trajectories with times: what controllers, simulated robot and replanner all read the same way.
+
+Between two knots every joint follows the quintic that matches position, velocity and acceleration at both, as
+a ROS joint trajectory controller does; so position, velocity and acceleration are continuous everywhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from humanpred_ros.checks import FloatArray, checked, frozen
+from humanpred_ros.errors import PlanningError
+
+#: Trajectories made by this package keep to velocity and acceleration limits, between their knots too, to
+#: within this share of them.
+LIMIT_TOLERANCE = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class TimedTrajectory:
+    """Knots of a trajectory of the robot.
+
+    Attributes:
+        t_s: (T,) strictly increasing, seconds of the data's clock.
+        q, v, a: (T, D) position, velocity, acceleration in rad, rad/s, rad/s²; the last v and a are 0.
+
+    Raises:
+        PlanningError: for shapes that disagree, times that do not increase, or a trajectory that does not
+            end at rest.
+    """
+
+    t_s: FloatArray
+    q: FloatArray
+    v: FloatArray
+    a: FloatArray
+
+    def __post_init__(self) -> None:
+        t = checked("trajectory t_s", self.t_s, ("T",), error=PlanningError)
+        q = checked("trajectory q", self.q, (len(t), "D"), error=PlanningError)
+        object.__setattr__(self, "t_s", frozen(t))
+        object.__setattr__(self, "q", frozen(q))
+        for name in ("v", "a"):
+            array = checked(f"trajectory {name}", getattr(self, name), q.shape, error=PlanningError)
+            object.__setattr__(self, name, frozen(array))
+        if len(t) == 0 or (np.diff(t) <= 0.0).any():
+            raise PlanningError("trajectory: wanted one or more strictly increasing times, got others")
+        if np.abs(self.v[-1]).max() > 0.0 or np.abs(self.a[-1]).max() > 0.0:
+            raise PlanningError("trajectory: wanted it to end at rest, got a velocity or acceleration at its end")
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    def __eq__(self, other: object) -> bool:
+        """Two trajectories are equal if every number is, bit for bit."""
+        if not isinstance(other, TimedTrajectory):
+            return NotImplemented
+        return all(np.array_equal(getattr(self, name), getattr(other, name)) for name in ("t_s", "q", "v", "a"))
+
+    __hash__ = None  # type: ignore[assignment]
+
+    @property
+    def start_s(self) -> float:
+        """Time of the first knot."""
+        return float(self.t_s[0])
+
+    @property
+    def end_s(self) -> float:
+        """Time from which the robot rests at the last knot."""
+        return float(self.t_s[-1])
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the first to the last knot."""
+        return self.end_s - self.start_s
+
+    def sample(self, t_s: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return position, velocity and acceleration (..., D) at times (...).
+
+        At a knot they are exactly the knot's. After the end the robot rests at the last knot; before the
+        start it is taken to rest at the first.
+        """
+        t = np.asarray(t_s, dtype=np.float64)
+        if len(self) == 1:
+            rest = np.zeros((*t.shape, self.q.shape[1]))
+            return self.q[0] + rest, rest, rest.copy()
+        k = np.clip(np.searchsorted(self.t_s, t, side="right") - 1, 0, len(self) - 2)
+        h = (self.t_s[k + 1] - self.t_s[k])[..., None]
+        u = np.clip((t - self.t_s[k])[..., None] / h, 0.0, 1.0)
+        q0, v0, a0 = self.q[k], self.v[k] * h, self.a[k] * h * h
+        q1, v1, a1 = self.q[k + 1], self.v[k + 1] * h, self.a[k + 1] * h * h
+        d = q1 - q0 - v0 - 0.5 * a0  # what the first three coefficients leave of position, velocity, acceleration
+        e = v1 - v0 - a0
+        f = a1 - a0
+        c3, c4, c5 = 10.0 * d - 4.0 * e + 0.5 * f, -15.0 * d + 7.0 * e - f, 6.0 * d - 3.0 * e + 0.5 * f
+        q = q0 + u * (v0 + u * (0.5 * a0 + u * (c3 + u * (c4 + u * c5))))
+        v = (v0 + u * (a0 + u * (3.0 * c3 + u * (4.0 * c4 + u * 5.0 * c5)))) / h
+        a = (a0 + u * (6.0 * c3 + u * (12.0 * c4 + u * 20.0 * c5))) / (h * h)
+        before = (t < self.t_s[0])[..., None]
+        at_end = (t >= self.t_s[-1])[..., None]
+        q = np.where(at_end, self.q[-1], q)
+        v = np.where(at_end | before, 0.0, v)
+        a = np.where(at_end | before, 0.0, a)
+        return q, v, a
+
+    def shifted(self, by_s: float) -> TimedTrajectory:
+        """Return the same movement `by_s` seconds later."""
+        return TimedTrajectory(self.t_s + by_s, self.q, self.v, self.a)
+
+    def rest_of(self, t_s: float, n_waypoints: int) -> FloatArray:
+        """Return `n_waypoints` configurations from time `t_s` to the end, evenly spaced in time."""
+        times = np.linspace(min(t_s, self.end_s), self.end_s, n_waypoints)
+        return self.sample(times)[0]
+
+
+def at_rest(q: ArrayLike, t_s: float) -> TimedTrajectory:
+    """Return the trajectory of a robot that rests at `q` (D,) from `t_s` on."""
+    q = np.atleast_2d(np.asarray(q, dtype=np.float64))
+    return TimedTrajectory(np.array([t_s]), q, np.zeros_like(q), np.zeros_like(q))

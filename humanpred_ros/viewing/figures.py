@@ -1,0 +1,148 @@
+"""One look for all plots: sizes, fonts, colours that colour-blind readers can tell apart, and SVG for embedding."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+#: Inches; at the report's width one inch is about 2.6 cm on paper.
+WIDTH_IN = 10.0
+
+INK = "#1f2933"
+MUTED = "#7b8794"
+GRID = "#e4e7eb"
+WASH = "#f7f8fa"
+ALARM = "#b42318"
+
+#: Hues for goals that are named after a colour: a reader expects the red cup to be red.
+_NAMED = {
+    "red": "#cc3a2b",
+    "blue": "#2b6cb0",
+    "green": "#2f855a",
+    "orange": "#dd8b1f",
+    "yellow": "#b7950b",
+    "purple": "#7d4f9e",
+    "black": "#1f2933",
+    "white": "#9aa5b1",
+    "grey": "#7b8794",
+    "gray": "#7b8794",
+}
+#: Okabe and Ito's palette without its yellow, which is invisible on white; order by contrast between neighbours.
+SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#5c4b8a", "#4d4d4d")
+#: Second cue beside colour, for print in grey and for more series than colours.
+DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+
+_STYLE: Mapping[str, Any] = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib: the same on every machine
+    "font.size": 9.0,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titlecolor": INK,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.formatter.useoffset": False,
+    "grid.color": GRID,
+    "grid.linewidth": 0.8,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "xtick.major.width": 0.8,
+    "ytick.major.width": 0.8,
+    "text.color": INK,
+    "lines.linewidth": 1.7,
+    "lines.solid_capstyle": "round",
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "figure.facecolor": "none",
+    "axes.facecolor": "white",
+    "savefig.facecolor": "none",
+    "svg.fonttype": "path",  # a report looks the same where the font is not installed
+    "svg.hashsalt": "humanpred_ros",  # same run, same file
+}
+
+
+@contextmanager
+def report_style() -> Iterator[None]:
+    """Put the plots' style in force; plots are made and turned into SVG inside."""
+    style: Any = dict(_STYLE)
+    with mpl.rc_context(style):
+        yield
+
+
+def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
+    """Return an empty figure that arranges its axes by itself."""
+    return Figure(figsize=(width_in, height_in), layout="constrained")
+
+
+def svg_of(figure: Figure, key: str) -> str:
+    """Return the figure as an SVG element for embedding in HTML.
+
+    It scales with the page (a viewBox and no size), and its ids begin with `key`, so that several of them
+    can stand in one page.
+    """
+    buffer = io.StringIO()
+    canvas: Any = FigureCanvasSVG(figure)
+    canvas.print_svg(buffer, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r'(<svg\b[^>]*?) width="[^"]*"', r"\1", text, count=1)
+    text = re.sub(r'(<svg\b[^>]*?) height="[^"]*"', r"\1", text, count=1)
+    text = re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r'\bid="', f'id="{key}-', text)
+    text = text.replace("url(#", f"url(#{key}-").replace('xlink:href="#', f'xlink:href="#{key}-')
+    return text.strip()
+
+
+def goal_colours(names: Iterable[str]) -> dict[str, str]:
+    """Return one colour per goal: the hue it is named after, else the next of the series that is still free."""
+    names = tuple(names)
+    colours = {name: colour for name in names if (colour := _named_colour(name)) is not None}
+    if len(set(colours.values())) < len(colours):  # two goals of one hue would look alike
+        colours = {}
+    free = [colour for colour in SERIES if colour not in colours.values()]
+    others = [name for name in names if name not in colours]
+    colours.update({name: free[k % len(free)] for k, name in enumerate(others)})
+    return {name: colours[name] for name in names}
+
+
+def class_style(index: int) -> dict[str, Any]:
+    """Return colour and dashes of the class at `index` of the sorted labels."""
+    return {"color": SERIES[index % len(SERIES)], "linestyle": DASHES[(index // 4) % len(DASHES)]}
+
+
+def empty_figure(text: str) -> Figure:
+    """Return a low figure that says why there is nothing to draw."""
+    figure = new_figure(0.6)
+    note(figure.add_subplot(), text)
+    return figure
+
+
+def note(axes: Axes, text: str) -> None:
+    """Write into the middle of empty axes why they are empty."""
+    axes.grid(False)
+    axes.spines[:].set_visible(False)
+    axes.set_facecolor(WASH)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.text(0.5, 0.5, text, ha="center", va="center", color=MUTED, transform=axes.transAxes)
+
+
+def _named_colour(name: str) -> str | None:
+    words = re.split(r"[^a-z]+", name.lower())
+    return next((colour for word, colour in _NAMED.items() if word in words), None)

@@ -1,0 +1,248 @@
+"""Plots of where things were, seen from above: the paths, the closest moment, and what was predicted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from matplotlib.patches import Circle, Polygon
+from matplotlib.ticker import MultipleLocator
+from scipy.spatial import ConvexHull
+
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.robot.shapes import Cylinder, Obstacle
+from humanpred_ros.viewing.clearance import Clearance
+from humanpred_ros.viewing.figures import ALARM, INK, MUTED, WIDTH_IN, empty_figure, goal_colours, new_figure
+from humanpred_ros.viewing.run import Run
+from humanpred_ros.viewing.run_summary import RunSummary
+from humanpred_ros.viewing.tracks import OccupancySnapshot
+from humanpred_ros.viewing.workcell import Workcell
+
+_HUMAN = "#b7791f"
+_ROBOT = "#52606d"
+_WOOD = "#f3ece0"
+_PROBABILITY = LinearSegmentedColormap.from_list("probability", ["#fdf3e1", "#f0a04b", "#9c2a10"])
+_MARGIN_M = 0.12
+#: Pictures of what was predicted: first, decisive, last.
+_N_SNAPSHOTS = 3
+
+
+def top_view_plot(
+    run: Run, summary: RunSummary, workcell: Workcell, clearance: Clearance, colours: Mapping[str, str]
+) -> Figure:
+    """Return paths of palm and tool over the run, and the bodies at the closest moment, from above."""
+    palm, tool = workcell.palm_path(run.postures), workcell.tool_path(run.robot.q[run.robot.t_s >= 0.0])
+    if workcell.scene is None or not (len(palm) or len(tool)):
+        return empty_figure("no motion was recorded" if workcell.scene else "the scene is not known")
+    figure = new_figure(2.0)
+    paths, moment = figure.subplots(1, 2, sharex=True, sharey=True)
+    for axes in (paths, moment):
+        _draw_scene(axes, workcell, colours)
+    paths.set_title("paths")
+    _draw_class_goals(paths, run)
+    if len(palm):
+        paths.plot(palm[:, 0], palm[:, 1], color=_HUMAN, linewidth=2.2, label="human palm")
+        paths.plot(*palm[0, :2], marker="o", color=_HUMAN, markersize=6)
+        paths.plot(*palm[-1, :2], marker="s", color=_HUMAN, markersize=6)
+    if len(tool):
+        paths.plot(tool[:, 0], tool[:, 1], color=_ROBOT, linewidth=2.2, label="robot tool")
+        paths.plot(*tool[0, :2], marker="o", color=_ROBOT, markersize=6)
+        paths.plot(*tool[-1, :2], marker="s", color=_ROBOT, markersize=6)
+    for name, place in workcell.goal_places().items():
+        paths.plot(
+            place[0], place[1], marker="X", markersize=10, color=colours.get(name, INK), markeredgecolor="white",
+            linestyle="none", label=f"goal {name}",
+        )  # fmt: skip
+    paths.plot([], [], marker="o", color=MUTED, linestyle="none", label="start")
+    paths.plot([], [], marker="s", color=MUTED, linestyle="none", label="end")
+    _draw_closest(moment, run, summary, workcell, clearance)
+    parts = [palm[:, :2], tool[:, :2], *_outlines(workcell), workcell.scene.T_world_base[None, :2, 3]]
+    if summary.closest is not None:
+        parts += workcell.human_outlines(_posture_at(run, summary.closest.t_s))
+        parts += [centre[None, :2] for centre, _ in _arm_spheres(run, workcell, summary.closest.t_s)]
+    _frame(paths, parts, figure, n_panels=2, extra_in=1.2)
+    paths.set_ylabel("y in m")
+    figure.legend(*paths.get_legend_handles_labels(), loc="outside lower center", ncol=7, columnspacing=1.6)
+    return figure
+
+
+def snapshots_plot(run: Run, summary: RunSummary, workcell: Workcell, colours: Mapping[str, str]) -> Figure:
+    """Return what was predicted at the first, the decisive and the last replanning step, from above."""
+    chosen = _decisive(run, summary)
+    if not chosen:
+        return empty_figure("no occupancy was recorded at a replanning step")
+    figure = new_figure(2.0)
+    panels = figure.subplots(1, len(chosen), sharex=True, sharey=True, squeeze=False)[0]
+    image: AxesImage | None = None
+    for axes, (snapshot, title) in zip(panels, chosen, strict=True):
+        axes.set_title(title)
+        _draw_scene(axes, workcell, colours, faint=True)
+        image = _draw_footprint(axes, run, snapshot)
+        tool = _tool_at(run, workcell, snapshot.t_s)
+        if len(tool):
+            axes.plot(*tool[0, :2], marker="D", color=_ROBOT, markersize=7, markeredgecolor="white", linestyle="none")
+        palm = workcell.palm_path(run.postures)
+        if len(palm):
+            so_far = palm[: int(np.searchsorted(run.postures.t_s, snapshot.t_s, side="right"))]
+            axes.plot(so_far[:, 0], so_far[:, 1], color=INK, linewidth=1.6)
+            axes.plot(*so_far[-1, :2], marker="o", color=INK, markersize=6, markeredgecolor="white", linestyle="none")
+    parts = [snapshot.centres_m[:, :2] for snapshot, _ in chosen] + _outlines(workcell)
+    parts += [_tool_at(run, workcell, snapshot.t_s)[:, :2] for snapshot, _ in chosen]
+    _frame(panels[0], parts, figure, n_panels=len(chosen) + 0.4, extra_in=1.15)
+    panels[0].set_ylabel("y in m")
+    if image is not None:
+        bar = figure.colorbar(image, ax=list(panels), shrink=0.8, aspect=14, pad=0.015)
+        bar.set_label("highest probability in the column")
+        bar.outline.set_visible(False)
+    return figure
+
+
+def _decisive(run: Run, summary: RunSummary) -> list[tuple[OccupancySnapshot, str]]:
+    """Return the snapshots worth a picture with their titles, in time order."""
+    steps = {row.t_s: row for row in summary.steps}
+    snapshots = [s for s in run.occupancy.snapshots if s.t_s in steps and len(s.probability)]
+    if not snapshots:
+        return []
+    switched = {switch.step for switch in summary.switches}
+    turning = next((k for k, snapshot in enumerate(snapshots) if steps[snapshot.t_s].step in switched), None)
+    middle = turning if turning is not None else len(snapshots) // 2
+    titles = []
+    for k in sorted({0, middle, len(snapshots) - 1})[:_N_SNAPSHOTS]:
+        row = steps[snapshots[k].t_s]
+        share = "" if row.percent is None else f", {row.percent:.0f} % of the reach"
+        verb = "switch to" if row.step in switched else "chosen:"
+        verdict = f"{verb} {row.chosen}" if row.chosen else "nothing chosen"
+        titles.append((snapshots[k], f"step {row.step}{share}\n{verdict}"))
+    return titles
+
+
+def _draw_scene(axes: Axes, workcell: Workcell, colours: Mapping[str, str], *, faint: bool = False) -> None:
+    axes.set_aspect("equal")
+    axes.set_xlabel("x in m")
+    if workcell.scene is None:
+        return
+    hues = {**goal_colours(obstacle.name for obstacle in workcell.obstacles), **colours}
+    for obstacle in workcell.obstacles:
+        outline = outline_of(obstacle)
+        if isinstance(obstacle.shape, Cylinder):
+            hue = _hue_of(obstacle.name, hues)
+            axes.add_patch(Polygon(outline, facecolor=hue, alpha=0.35 if faint else 0.8, linewidth=0, zorder=3))
+        else:
+            axes.add_patch(Polygon(outline, facecolor=_WOOD, edgecolor="#d9cbb2", linewidth=0.8, zorder=0.5))
+    if not faint:
+        x, y = workcell.scene.T_world_base[:2, 3]
+        axes.plot(x, y, marker="P", color=_ROBOT, markersize=9, linestyle="none", zorder=2)
+        axes.annotate("PR2", (x, y), xytext=(0, 8), textcoords="offset points", ha="center", color=_ROBOT, fontsize=8)
+
+
+def _hue_of(name: str, hues: Mapping[str, str]) -> str:
+    """Return the colour of an object: its goal's if one is named in its name."""
+    words = name.lower().replace("-", "_").split("_")
+    return next((colour for goal, colour in hues.items() if goal.lower() in words), hues.get(name, MUTED))
+
+
+def _draw_class_goals(axes: Axes, run: Run) -> None:
+    for label, place in zip(run.posterior.labels, run.posterior.goals_m, strict=True):
+        axes.plot(
+            place[0], place[1], marker="s", color="white", markeredgecolor=MUTED, markersize=11, alpha=0.85, zorder=3.4
+        )
+        axes.text(place[0], place[1], str(label), ha="center", va="center", fontsize=7.5, color=INK, zorder=3.5)
+
+
+def _tool_at(run: Run, workcell: Workcell, t_s: float) -> FloatArray:
+    """Return where the tool was at a time, (1, 3), or (0, 3) if that is not known."""
+    robot = run.robot.at(np.array([t_s]))
+    return workcell.tool_path(robot[np.isfinite(robot).all(axis=1)])
+
+
+def _posture_at(run: Run, t_s: float) -> FloatArray:
+    posture: FloatArray = run.postures.q[int(np.argmin(np.abs(run.postures.t_s - t_s)))]
+    return posture
+
+
+def _arm_spheres(run: Run, workcell: Workcell, t_s: float) -> list[tuple[FloatArray, float]]:
+    """Return centre and radius of the arm's collision spheres at a time, from the lowest to the highest."""
+    if workcell.arm is None:
+        return []
+    spheres = workcell.arm.spheres()
+    centres = spheres.world_m(workcell.arm.chain, run.robot.at(np.array([t_s]))[0])
+    return [(centres[k], float(spheres.radius_m[k])) for k in np.argsort(centres[:, 2])]
+
+
+def _draw_closest(axes: Axes, run: Run, summary: RunSummary, workcell: Workcell, clearance: Clearance) -> None:
+    if summary.closest is None or workcell.human is None or workcell.arm is None:
+        axes.set_title("closest moment: not known")
+        return
+    t_s = summary.closest.t_s
+    axes.set_title(f"closest moment: {100 * summary.closest.distance_m:.1f} cm at {t_s:.2f} s")
+    for outline in workcell.human_outlines(_posture_at(run, t_s)):
+        axes.add_patch(Polygon(outline, facecolor="#f1ddbb", edgecolor="#d3ad72", linewidth=0.7, zorder=2))
+    for centre, radius in _arm_spheres(run, workcell, t_s):
+        ball = Circle((centre[0], centre[1]), radius, facecolor="#cbd2d9", edgecolor="#8f9ba8", linewidth=0.7, zorder=4)
+        axes.add_patch(ball)
+    place = clearance.place_m[int(np.argmin(clearance.distance_m))]
+    axes.plot(*place[:2], marker="o", markersize=13, markerfacecolor="none", markeredgecolor=ALARM, zorder=5)
+
+
+def _draw_footprint(axes: Axes, run: Run, snapshot: OccupancySnapshot) -> AxesImage:
+    """Draw the highest probability over each column of voxels."""
+    centres, probability = snapshot.centres_m[:, :2], snapshot.probability
+    edge = run.occupancy.grid.resolution_m if run.occupancy.grid is not None else _spacing(centres)
+    low = centres.min(axis=0)
+    cell = np.rint((centres - low) / edge).astype(np.int64)
+    image = np.zeros(tuple(cell.max(axis=0) + 1))
+    np.maximum.at(image, (cell[:, 0], cell[:, 1]), probability)
+    size = np.array(image.shape) * edge
+    x, y = low - edge / 2
+    return axes.imshow(
+        np.ma.masked_equal(image.T, 0.0), origin="lower", extent=(x, x + size[0], y, y + size[1]), cmap=_PROBABILITY,
+        vmin=0.0, vmax=1.0, interpolation="nearest", alpha=0.9, zorder=1.5,
+    )  # fmt: skip
+
+
+def _spacing(centres: FloatArray) -> float:
+    steps = np.diff(np.unique(np.round(centres[:, 0], 4)))
+    return float(steps.min()) if len(steps) else 0.05
+
+
+def outline_of(obstacle: Obstacle) -> FloatArray:
+    """Return the outline (N, 2) of an obstacle seen from above, counter-clockwise."""
+    shape = obstacle.shape
+    if isinstance(shape, Cylinder):
+        angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+        rim = np.stack([shape.radius_m * np.cos(angle), shape.radius_m * np.sin(angle)], axis=1)
+        heights = (-shape.height_m / 2.0, shape.height_m / 2.0)
+        local = np.concatenate([np.column_stack([rim, np.full(len(rim), z)]) for z in heights])
+    else:
+        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        local = corners * shape.size_m / 2.0
+    T = shape.T_world_shape
+    flat = (local @ T[:3, :3].T + T[:3, 3])[:, :2]
+    outline: FloatArray = flat[ConvexHull(flat).vertices]
+    return outline
+
+
+def _outlines(workcell: Workcell) -> list[FloatArray]:
+    return [outline_of(obstacle) for obstacle in workcell.obstacles]
+
+
+def _frame(axes: Axes, parts: list[FloatArray], figure: Figure, *, n_panels: float, extra_in: float) -> None:
+    """Set limits that hold all parts (N, 2), and make the figure as high as that needs.
+
+    Args:
+        axes: one of the panels, which share their limits.
+        parts: what must be seen.
+        figure: with `n_panels` panels side by side, and `extra_in` inches for labels below and above.
+    """
+    points = np.concatenate([part.reshape(-1, 2) for part in parts])
+    low, high = points.min(axis=0) - _MARGIN_M, points.max(axis=0) + _MARGIN_M
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MultipleLocator(0.25 if n_panels < _N_SNAPSHOTS else 0.5))
+    panel_in = (WIDTH_IN - 0.6) / n_panels - 0.25
+    figure.set_figheight(panel_in * float((high[1] - low[1]) / (high[0] - low[0])) + extra_in)

@@ -1,0 +1,151 @@
+"""Plots of what happened over time: distance, occupancy volume, joint motion, and how long the computers took."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.viewing.clearance import Clearance
+from humanpred_ros.viewing.figures import ALARM, INK, MUTED, SERIES, empty_figure, new_figure, note
+from humanpred_ros.viewing.run import Run
+from humanpred_ros.viewing.run_summary import LatencyFigures, RunSummary
+from humanpred_ros.viewing.time_axis import mark_events
+from humanpred_ros.viewing.workcell import Workcell
+
+_MAX_BINS = 40
+_JOINT_ROW_IN = 0.98
+#: Least span of a joint's axes: a joint at rest looks at rest.
+_LEAST_SPAN = 0.2
+_LITRES_PER_M3 = 1000.0
+
+
+def clearance_plot(run: Run, summary: RunSummary, clearance: Clearance, colours: Mapping[str, str]) -> Figure:
+    """Return the distance between robot and human over time."""
+    if not len(clearance) or summary.closest is None:
+        return empty_figure("the distance is not known")
+    figure = new_figure(2.9)
+    axes = figure.add_subplot()
+    distance_cm, closest = 100.0 * clearance.distance_m, summary.closest
+    axes.plot(clearance.t_s, distance_cm, color=INK)
+    axes.plot([closest.t_s], [100.0 * closest.distance_m], marker="o", color=INK, markersize=6)
+    on_left = closest.t_s < 0.6 * run.duration_s
+    axes.annotate(
+        f"{100.0 * closest.distance_m:.1f} cm at {closest.t_s:.2f} s\n{closest.robot_link} – {closest.human_body}",
+        (closest.t_s, 100.0 * closest.distance_m), xytext=(14 if on_left else -14, 12), textcoords="offset points",
+        ha="left" if on_left else "right", va="bottom", fontsize=8.5,
+        arrowprops={"arrowstyle": "-", "color": MUTED, "linewidth": 0.8},
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5},
+    )  # fmt: skip
+    low, high = min(0.0, float(distance_cm.min()) * 1.1), float(distance_cm.max())
+    axes.set_ylim(low, high + 0.08 * (high - low) if high > low else low + 1.0)
+    if low < 0.0:
+        axes.axhspan(low, 0.0, color=ALARM, alpha=0.12, linewidth=0)
+        axes.axhline(0.0, color=ALARM, linewidth=1.0)
+    axes.set_ylabel("robot to human in cm")
+    mark_events(axes, run, summary, colours)
+    return figure
+
+
+def occupancy_plot(run: Run, summary: RunSummary, colours: Mapping[str, str]) -> Figure:
+    """Return the expected number of occupied voxels, and the number published, over time."""
+    track = run.occupancy
+    if not len(track):
+        return empty_figure("no occupancy was recorded")
+    figure = new_figure(2.7)
+    axes = figure.add_subplot()
+    axes.fill_between(track.t_s, track.expected_voxels, color=SERIES[0], alpha=0.18, linewidth=0)
+    axes.plot(track.t_s, track.expected_voxels, color=SERIES[0], label="expected occupied (sum of probabilities)")
+    axes.plot(track.t_s, track.n_voxels, color=MUTED, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
+    axes.set_ylim(0.0, max(1.0, 1.08 * float(track.n_voxels.max())))
+    axes.set_ylabel("voxels")
+    mark_events(axes, run, summary, colours)
+    axes.legend(loc="lower right")
+    if track.grid is not None:
+        litres = _LITRES_PER_M3 * track.grid.resolution_m**3
+
+        def to_litres(voxels: Any) -> Any:
+            return voxels * litres
+
+        def to_voxels(volume: Any) -> Any:
+            return volume / litres
+
+        volume = axes.secondary_yaxis("right", functions=(to_litres, to_voxels))
+        volume.set_ylabel("volume in litres")
+    return figure
+
+
+def joints_plot(run: Run, summary: RunSummary, workcell: Workcell, colours: Mapping[str, str]) -> Figure:
+    """Return position and velocity of every arm joint over time, with their limits."""
+    track = run.robot
+    shown = (track.t_s >= 0.0) & (track.t_s <= run.duration_s)
+    if shown.sum() < 2:
+        return empty_figure("the arm was not recorded during the run")
+    n_joints = len(track.joint_names)
+    figure = new_figure(_JOINT_ROW_IN * n_joints + 0.6)
+    axes = figure.subplots(n_joints, 2, sharex=True, squeeze=False)
+    for j, name in enumerate(track.joint_names):
+        left, right = axes[j]
+        left.plot(track.t_s[shown], track.q[shown, j], color=SERIES[0], linewidth=1.4)
+        right.plot(track.t_s[shown], track.v[shown, j], color=SERIES[1], linewidth=1.2)
+        short = name.removeprefix("r_").removesuffix("_joint").replace("_", " ")
+        left.set_ylabel(short, rotation=0, ha="right", va="center")
+        lower, upper, fastest = workcell.joint_limits(j)
+        _limit_lines(left, lower, upper, track.q[shown, j])
+        _limit_lines(right, -fastest, fastest, track.v[shown, j])
+        for side in (left, right):
+            mark_events(side, run, summary, colours, labels=False, xlabel=j == n_joints - 1)
+            side.locator_params(axis="y", nbins=3)
+    axes[0, 0].set_title("position in rad")
+    axes[0, 1].set_title("velocity in rad/s")
+    figure.align_ylabels(axes[:, 0])
+    return figure
+
+
+def latency_plot(run: Run, summary: RunSummary) -> Figure:
+    """Return histograms of the latencies and of the time a replanning step takes."""
+    if not len(run.postures) and not run.steps:
+        return empty_figure("there is nothing to measure delays on")
+    figure = new_figure(2.7)
+    planning_ms = 1e3 * np.array([step.compute_s for step in run.steps], dtype=np.float64)
+    panels = [(latency.name, 1e3 * latency.delay_s, summary.latency[latency.name]) for latency in run.latencies]
+    panels.append(("planning one step", planning_ms[np.isfinite(planning_ms)], summary.planning))
+    for axes, (name, delay_ms, figures) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
+        axes.set_title(name, pad=18)
+        _histogram(axes, delay_ms, figures)
+    return figure
+
+
+def _histogram(axes: Axes, delay_ms: FloatArray, figures: LatencyFigures) -> None:
+    if figures.median_ms is None or figures.p99_ms is None:
+        note(axes, "no samples")
+        return
+    bins = int(np.clip(round(2.0 * np.sqrt(len(delay_ms))), 5, _MAX_BINS))
+    axes.hist(delay_ms, bins=bins, color=SERIES[4], edgecolor="white", linewidth=0.4)
+    axes.axvline(figures.median_ms, color=INK, linewidth=1.2)
+    axes.axvline(figures.p99_ms, color=INK, linewidth=1.2, linestyle=(0, (4, 2)))
+    axes.annotate(
+        f"median {figures.median_ms:.1f} ms, 99 % below {figures.p99_ms:.1f} ms, n = {figures.count}", (0.0, 1.0),
+        xytext=(0, 5), xycoords="axes fraction", textcoords="offset points", fontsize=8, color=MUTED,
+    )  # fmt: skip
+    if delay_ms.min() < 0.7 * delay_ms.max():  # far from zero, the shape says more than the distance to it
+        axes.set_xlim(left=min(0.0, float(delay_ms.min())))
+    axes.set_xlabel("ms")
+    axes.set_ylabel("count")
+    axes.locator_params(axis="y", integer=True)
+
+
+def _limit_lines(axes: Axes, lower: float, upper: float, values: FloatArray) -> None:
+    """Draw the limits that lie near the data: a far limit would flatten the curve."""
+    low, high = float(values.min()), float(values.max())
+    room = max(0.1, 0.35 * (high - low))
+    for limit in (lower, upper):
+        if np.isfinite(limit) and low - room <= limit <= high + room:
+            axes.axhline(limit, color=ALARM, linewidth=1.0, linestyle=(0, (4, 2)))
+            low, high = min(low, limit), max(high, limit)
+    margin = max(0.12 * (high - low), (_LEAST_SPAN - (high - low)) / 2.0)
+    axes.set_ylim(low - margin, high + margin)

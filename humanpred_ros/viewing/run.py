@@ -1,0 +1,262 @@
+"""A recorded run read back from its folder: the one thing that summaries, plots and reports start from."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.errors import BagError
+from humanpred_ros.occupancy.grid import VoxelGrid
+from humanpred_ros.recording import messages
+from humanpred_ros.recording.metadata import TopicInfo
+from humanpred_ros.recording.reader import BagReader
+from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
+from humanpred_ros.viewing import run_topics as topics
+from humanpred_ros.viewing.topic_loader import Entry, RunClock, TopicLoader
+from humanpred_ros.viewing.tracks import (
+    Latency,
+    OccupancySnapshot,
+    OccupancyTrack,
+    PosteriorTrack,
+    PostureTrack,
+    RecordedDecision,
+    RobotTrack,
+    SentTrajectory,
+)
+
+#: Names of a run's latencies; the wall-clock times of sending are compared.
+POSTURE_TO_OCCUPANCY = "posture to occupancy"
+POSTURE_TO_TRAJECTORY = "posture to trajectory"
+
+#: The arm's joints that turn without end.
+_ENDLESS = ("r_forearm_roll_joint", "r_wrist_roll_joint")
+
+
+@dataclass(frozen=True)
+class Run:
+    """Everything recorded in one run: immutable.
+
+    Attributes:
+        folder: the run's folder.
+        facts: what the recorder was told about the run (scene, library, trajectory, seed, mode, ...).
+        origin_ns: stamp of the first posture (or of whatever came first); all `t_s` count from it.
+        duration_s: data time from the origin to the last posture, decision or robot state.
+        recorded_ns: wall time of the first message in ns since the epoch, 0 without messages.
+        wall_s: wall time from the first to the last message.
+        motion_duration_s: length of the human's motion, 0 if unknown.
+        postures, posterior, occupancy, decisions, robot, trajectories, latencies: see `tracks`.
+        topics: the bag's topics with their message counts, by name.
+        human_urdf: the tracked body's URDF, empty if it was not recorded.
+        notes: what was left out when reading, and why.
+    """
+
+    folder: Path
+    facts: Mapping[str, str]
+    origin_ns: int
+    duration_s: float
+    recorded_ns: int
+    wall_s: float
+    motion_duration_s: float
+    postures: PostureTrack
+    posterior: PosteriorTrack
+    occupancy: OccupancyTrack
+    decisions: tuple[RecordedDecision, ...]
+    robot: RobotTrack
+    trajectories: tuple[SentTrajectory, ...]
+    latencies: tuple[Latency, ...]
+    topics: tuple[TopicInfo, ...]
+    human_urdf: str = ""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def steps(self) -> tuple[RecordedDecision, ...]:
+        """The decisions that are replanning steps, also those in vain, in time order."""
+        return tuple(decision for decision in self.decisions if decision.is_step)
+
+    @property
+    def goal_names(self) -> tuple[str, ...]:
+        """Names of the goals planned for, in the order of their first appearance."""
+        return tuple(dict.fromkeys(goal.name for step in self.steps for goal in step.goals))
+
+    def percent(self, t_s: float) -> float | None:
+        """Return how much of the human's motion is over at `t_s`, 0 to 100, None if its length is unknown."""
+        return float(np.clip(100.0 * t_s / self.motion_duration_s, 0.0, 100.0)) if self.motion_duration_s > 0 else None
+
+
+def read_run(folder: str | Path) -> Run:
+    """Read the run recorded in `folder`.
+
+    Topics that are missing or empty give empty series, so an interrupted run can be read, too.
+
+    Raises:
+        BagError: no such folder, no bag in it, or a bag that is truncated or damaged.
+    """
+    folder = Path(folder)
+    if not (folder / "bag").is_dir():
+        raise BagError(f"{folder}: wanted a run (a folder with a bag/ in it), found none; record one: humanpred demo")
+    reader = BagReader(folder / "bag")
+    load = TopicLoader(reader)
+    human_topic = topics.posture_topic(reader.topics)
+    human = load.stamped(human_topic, messages.JOINT_STATE)
+    decided = load.stamped(topics.DECISION, messages.DIAGNOSTIC_ARRAY, monotone=False)
+    robot = load.stamped(topics.JOINT_STATES, messages.JOINT_STATE)
+    sent = load.stamped(topics.TRAJECTORY, messages.JOINT_TRAJECTORY, monotone=False)
+    goals = load.stamped(topics.HUMAN_GOALS, messages.POINT_CLOUD2)
+    wanted = {entry.stamp_ns for entry in decided if len(entry.message.status) > 1}
+    occupied = load.stamped(
+        topics.OCCUPANCY, messages.POINT_CLOUD2, reduce=lambda stamp, message: _occupied(message, keep=stamp in wanted)
+    )
+
+    firsts = [entries[0].stamp_ns for entries in (human, occupied, decided) if entries]
+    origin_ns = firsts[0] if firsts else (robot[-1].stamp_ns if robot else 0)
+    clock = RunClock(origin_ns)
+    postures = _postures(human, clock, load)
+    first_occupancy_s = clock.seconds(occupied[0].stamp_ns if occupied else origin_ns)
+    decisions = _numbered(
+        [topics.decision_of(e.message, clock.seconds(e.stamp_ns), first_occupancy_s) for e in decided], load
+    )
+    robot_track = _robot(robot, clock)
+    facts = MappingProxyType(dict(reader.metadata.get("run", {})))
+    lasts = [entries[-1].stamp_ns for entries in (human, occupied, decided, robot) if entries]
+    return Run(
+        folder=folder,
+        facts=facts,
+        origin_ns=origin_ns,
+        duration_s=max((clock.seconds(stamp) for stamp in lasts), default=0.0),
+        recorded_ns=reader.start_ns or 0,
+        wall_s=(reader.end_ns - reader.start_ns) * 1e-9 if reader.start_ns and reader.end_ns else 0.0,
+        motion_duration_s=_motion_duration_s(facts, postures),
+        postures=postures,
+        posterior=_posterior(goals, clock),
+        occupancy=_occupancy(occupied, load.grid(), clock),
+        decisions=decisions,
+        robot=robot_track,
+        trajectories=tuple(topics.trajectory_of(e.message, origin_ns) for e in sent),
+        latencies=(
+            _delays(POSTURE_TO_OCCUPANCY, human, {e.stamp_ns: e.sent_ns for e in occupied}, clock),
+            _delays(POSTURE_TO_TRAJECTORY, human, _answers(sent, decided), clock),
+        ),
+        topics=tuple(sorted(reader.topics.values(), key=lambda topic: topic.name)),
+        human_urdf=load.text(topics.urdf_topic(reader.topics)),
+        notes=tuple(load.notes),
+    )
+
+
+class _Occupied(NamedTuple):
+    n_voxels: int
+    expected_voxels: float
+    cloud: tuple[FloatArray, FloatArray] | None
+
+
+def _occupied(message: Any, *, keep: bool) -> _Occupied:
+    """Reduce a cloud to what plots need; whole clouds are kept only where asked, they are large."""
+    centres, probability = topics.occupancy_of(message)
+    return _Occupied(len(probability), float(probability.sum()), (centres, probability) if keep else None)
+
+
+def _postures(entries: list[Entry], clock: RunClock, load: TopicLoader) -> PostureTrack:
+    names = tuple(entries[0].message.name) if entries else ()
+    rows = [(entry, topics.positions_of(entry.message, names)) for entry in entries]
+    usable = [(entry, row[0]) for entry, row in rows if row is not None]
+    if len(usable) < len(entries):
+        load.notes.append(f"{len(entries) - len(usable)} postures with missing or non-finite joints were left out")
+    return PostureTrack(
+        clock.times(entry for entry, _ in usable),
+        np.array([q for _, q in usable], dtype=np.float64).reshape(len(usable), len(names)),
+        names,
+        str(entries[0].message.header.frame_id) if entries else "",
+    )
+
+
+def _numbered(decisions: list[RecordedDecision], load: TopicLoader) -> tuple[RecordedDecision, ...]:
+    """Return the decisions with step numbers that rise; a planner that was started anew counts from 0 again."""
+    numbers = [decision.step for decision in decisions if decision.is_step]
+    if all(number >= 0 for number in numbers) and all(np.diff(numbers) > 0):
+        return tuple(decisions)
+    load.notes.append("the planner's step numbers do not rise throughout: replanning steps are counted anew")
+    count = itertools.count()
+    return tuple(replace(decision, step=next(count)) if decision.is_step else decision for decision in decisions)
+
+
+def _posterior(entries: list[Entry], clock: RunClock) -> PosteriorTrack:
+    columns = [topics.posterior_of(entry.message) for entry in entries]
+    if not columns:
+        return PosteriorTrack(np.zeros(0), (), np.zeros((0, 0)), np.zeros((0, 3)))
+    labels, _, goals = columns[0]
+    same = [k for k, column in enumerate(columns) if np.array_equal(column[0], labels)]
+    return PosteriorTrack(
+        clock.times(entries[k] for k in same),
+        tuple(int(label) for label in labels),
+        np.array([columns[k][1] for k in same]),
+        goals,
+    )
+
+
+def _occupancy(entries: list[Entry], grid: VoxelGrid | None, clock: RunClock) -> OccupancyTrack:
+    times = clock.times(entries)
+    return OccupancyTrack(
+        times,
+        np.array([entry.message.n_voxels for entry in entries], dtype=np.int64),
+        np.array([entry.message.expected_voxels for entry in entries], dtype=np.float64),
+        grid,
+        tuple(
+            OccupancySnapshot(float(t), *entry.message.cloud)
+            for t, entry in zip(times, entries, strict=True)
+            if entry.message.cloud is not None
+        ),
+    )
+
+
+def _robot(entries: list[Entry], clock: RunClock) -> RobotTrack:
+    # Other publishers share the topic on a real robot; states without the arm are theirs.
+    rows = [(entry, topics.positions_of(entry.message, RIGHT_ARM_JOINTS)) for entry in entries]
+    usable = [(entry, *row) for entry, row in rows if row is not None]
+    n_joints = len(RIGHT_ARM_JOINTS)
+    t_s = clock.times(entry for entry, _, _ in usable)
+    q = np.array([q for _, q, _ in usable], dtype=np.float64).reshape(-1, n_joints)
+    v = np.array([v for _, _, v in usable], dtype=np.float64).reshape(-1, n_joints)
+    for j, name in enumerate(RIGHT_ARM_JOINTS):
+        if name in _ENDLESS and len(q):
+            q[:, j] = np.unwrap(q[:, j])  # encoders of such joints start anew after a full turn
+    differences = np.gradient(q, t_s, axis=0) if len(q) > 1 else np.zeros_like(q)
+    return RobotTrack(t_s, q, np.where(np.isfinite(v), v, differences), RIGHT_ARM_JOINTS)
+
+
+def _answers(sent: list[Entry], decided: list[Entry]) -> dict[int, int]:
+    """Return when the trajectory of each replanning step was sent, by the stamp the step was computed on.
+
+    The planner sends a trajectory right before its decision, so each belongs to the next decision.
+    """
+    answers: dict[int, int] = {}
+    order = sorted(decided, key=lambda entry: entry.sent_ns)
+    times = np.array([entry.sent_ns for entry in order], dtype=np.int64)
+    for trajectory in sent:
+        k = int(np.searchsorted(times, trajectory.sent_ns))
+        if k < len(order) and order[k].message.status and order[k].message.status[0].message == "replan":
+            answers[order[k].stamp_ns] = trajectory.sent_ns
+    return answers
+
+
+def _delays(name: str, human: list[Entry], sent_ns: Mapping[int, int], clock: RunClock) -> Latency:
+    pairs = [
+        (clock.seconds(posture.stamp_ns), (sent_ns[posture.stamp_ns] - posture.sent_ns) * 1e-9)
+        for posture in human
+        if posture.stamp_ns in sent_ns
+    ]
+    table = np.array(pairs, dtype=np.float64).reshape(-1, 2)
+    return Latency(name, table[:, 0], table[:, 1])
+
+
+def _motion_duration_s(facts: Mapping[str, str], postures: PostureTrack) -> float:
+    try:
+        told = float(facts.get("duration_s", ""))
+    except ValueError:
+        told = 0.0
+    return told if np.isfinite(told) and told > 0.0 else postures.motion_end_s

@@ -1,0 +1,165 @@
+"""What is said of one run, as plain data that tables, files and reports share."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class StepRow:
+    """One replanning step, 1-based as in P1.
+
+    Attributes:
+        step: its number: the planner's, which counts from 0, plus one.
+        action: replan, keep (no better path was found), hold (no way was found) or missed (too late).
+        t_s, percent: data time of the occupancy it was computed on; share of the human's motion over by then.
+        best_class, best_probability: most probable class then, None without a posterior.
+        costs: selection cost per goal, None where it has none.
+        chosen: the chosen goal, empty if none.
+        switched: the chosen goal differs from the previous step's.
+        compute_ms: wall time the step took, None if not told.
+    """
+
+    step: int
+    action: str
+    t_s: float
+    percent: float | None
+    best_class: int | None
+    best_probability: float | None
+    costs: Mapping[str, float | None]
+    chosen: str
+    switched: bool
+    compute_ms: float | None
+
+    @property
+    def missed(self) -> bool:
+        """Whether it came too late to be carried out."""
+        return self.action == "missed"
+
+
+@dataclass(frozen=True)
+class Switch:
+    """A change of the chosen goal.
+
+    Attributes:
+        step: 1-based number of the step that decided it.
+        step_in_effect: the step during which the robot acts on it, one later (P1 Fig. 4).
+        t_s, percent: data time of the decision; share of the human's motion over by then.
+        t_effect_s: when the new trajectory takes over, None if not told.
+        goal_before, goal_after: names.
+    """
+
+    step: int
+    step_in_effect: int
+    t_s: float
+    percent: float | None
+    t_effect_s: float | None
+    goal_before: str
+    goal_after: str
+
+
+@dataclass(frozen=True)
+class Hold:
+    """A stop for one reason: from when until the arm was sent on or the run ended, and how often it was decided."""
+
+    t_s: float
+    until_s: float
+    decisions: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class Closest:
+    """The least distance between robot and human: negative when they penetrate."""
+
+    distance_m: float
+    t_s: float
+    percent: float | None
+    robot_link: str
+    human_body: str
+
+
+@dataclass(frozen=True)
+class Recognised:
+    """Since when the true class has been the most probable one without interruption; None if it was not at the end."""
+
+    true_class: int
+    t_s: float | None
+    percent: float | None
+
+
+@dataclass(frozen=True)
+class LatencyFigures:
+    """Median, 99th percentile and maximum of a latency over `count` samples; None without samples."""
+
+    count: int
+    median_ms: float | None
+    p99_ms: float | None
+    max_ms: float | None
+
+
+@dataclass(frozen=True)
+class Reached:
+    """The goal the arm ended at: since when it has stayed there, and the final largest joint error."""
+
+    goal: str
+    t_s: float
+    error_rad: float
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """What is said of a run, in tables, files and reports.
+
+    Attributes:
+        outcome: one sentence.
+        facts: what the recorder was told about the run.
+        duration_s: data time; `wall_s` wall time; `motion_duration_s` the human's motion.
+        goals: names of the goals, in the planner's order.
+        steps, switches, holds: see their types.
+        missed: number of replanning steps that came too late.
+        closest: over the whole run, None if it could not be evaluated.
+        recognised: how early the human's motion was recognised, None if its true class is not known.
+        latency: by name.
+        planning: wall time of one replanning step.
+        reached: None if the arm did not end at a goal.
+        peak_velocity: largest joint speed as a share of the joint's limit, None if unknown.
+        counts: number of postures, occupancies, decisions, trajectories and robot states recorded.
+        notes: what could not be read or evaluated, and why.
+    """
+
+    outcome: str
+    facts: Mapping[str, str]
+    duration_s: float
+    wall_s: float
+    motion_duration_s: float
+    goals: tuple[str, ...]
+    steps: tuple[StepRow, ...]
+    switches: tuple[Switch, ...]
+    holds: tuple[Hold, ...]
+    missed: int
+    closest: Closest | None
+    recognised: Recognised | None
+    latency: Mapping[str, LatencyFigures]
+    planning: LatencyFigures
+    reached: Reached | None
+    peak_velocity: float | None
+    counts: Mapping[str, int]
+    notes: tuple[str, ...] = ()
+
+    def to_json(self) -> str:
+        """Return the summary as strict JSON: numbers that are not finite become null."""
+        return json.dumps(_plain(dataclasses.asdict(self)), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

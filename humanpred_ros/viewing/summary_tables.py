@@ -1,0 +1,98 @@
+"""The summary of a run as tables in the terminal."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from humanpred_ros.viewing.run_summary import LatencyFigures, Recognised, RunSummary, StepRow
+
+
+def print_summary(summary: RunSummary, console: Console) -> None:
+    """Print the replanning steps and the key figures of a run."""
+    if summary.steps:
+        console.print(_steps_table(summary))
+    console.print(_figures_table(summary))
+    for note in summary.notes:
+        console.print(f"[yellow]note[/yellow]  {escape(note)}")
+    console.print(f"[bold]{escape(summary.outcome)}[/bold]", highlight=False)
+
+
+def _steps_table(summary: RunSummary) -> Table:
+    table = Table(title="replanning steps", title_justify="left", header_style="bold")
+    for name in ("step", "t in s", "reach", "class", "p"):
+        table.add_column(name, justify="right")
+    for goal in summary.goals:
+        table.add_column(f"cost {escape(goal)}", justify="right")
+    table.add_column("chosen")
+    table.add_column("ms", justify="right")
+    for row in summary.steps:
+        cells = [
+            str(row.step),
+            f"{row.t_s:.2f}",
+            _text(row.percent, ".0f", " %"),
+            "–" if row.best_class is None else str(row.best_class),
+            _text(row.best_probability, ".2f"),
+            *(_text(row.costs.get(goal), ".3g") for goal in summary.goals),
+            escape(row.chosen) + _remark(row),
+            _text(row.compute_ms, ".1f"),
+        ]
+        table.add_row(*cells, style="bold" if row.switched and not row.missed else ("red" if row.missed else None))
+    return table
+
+
+def _figures_table(summary: RunSummary) -> Table:
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    table.add_column(style="dim")
+    table.add_column()
+    for switch in summary.switches:
+        share = "" if switch.percent is None else f", {switch.percent:.0f} % of the reach"
+        table.add_row(
+            "switch",
+            f"step {switch.step} ({switch.t_s:.2f} s{share}): {escape(switch.goal_before)} to "
+            f"{escape(switch.goal_after)}, in effect in step {switch.step_in_effect}",
+        )
+    if not summary.switches:
+        table.add_row("switch", "none")
+    if summary.closest is not None:
+        closest = summary.closest
+        parts = f"{closest.robot_link} – {closest.human_body}"
+        text = f"{100.0 * closest.distance_m:.1f} cm at {closest.t_s:.2f} s ({parts})"
+        table.add_row("closest to human", f"[red]{text}[/red]" if closest.distance_m <= 0.0 else text)
+    if summary.recognised is not None:
+        table.add_row("recognised", recognition_text(summary.recognised))
+    for name, latency in summary.latency.items():
+        table.add_row(name, _latency(latency))
+    table.add_row("planning one step", _latency(summary.planning))
+    table.add_row("missed steps", f"{summary.missed} of {len(summary.steps)}")
+    for hold in summary.holds:
+        table.add_row("hold", f"{hold.t_s:.2f} to {hold.until_s:.2f} s: {escape(hold.reason)}")
+    if summary.peak_velocity is not None:
+        table.add_row("fastest joint", f"{100.0 * summary.peak_velocity:.0f} % of its velocity limit")
+    table.add_row("duration", f"{summary.duration_s:.2f} s of data, {summary.wall_s:.1f} s of wall time")
+    return table
+
+
+def recognition_text(recognised: Recognised) -> str:
+    """Return when the true class was recognised, in words."""
+    if recognised.t_s is None:
+        return f"class {recognised.true_class} not recognised"
+    share = "" if recognised.percent is None else f", {recognised.percent:.0f} % of the reach"
+    return f"class {recognised.true_class} from {recognised.t_s:.2f} s on{share}"
+
+
+def _latency(latency: LatencyFigures) -> str:
+    if latency.median_ms is None or latency.p99_ms is None:
+        return "no samples"
+    return f"median {latency.median_ms:.1f} ms, 99 % below {latency.p99_ms:.1f} ms (n = {latency.count})"
+
+
+def _remark(row: StepRow) -> str:
+    if row.action in ("missed", "hold"):
+        return f" ({row.action})"
+    return " (switch)" if row.switched else ""
+
+
+def _text(value: float | None, form: str, unit: str = "") -> str:
+    return "–" if value is None else f"{value:{form}}{unit}"

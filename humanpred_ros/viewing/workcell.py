@@ -1,0 +1,113 @@
+"""The scene, arm and human a run was recorded with, so far as they can still be found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.errors import HumanModelError, HumanPredError
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.robot.pr2 import Pr2Arm
+from humanpred_ros.robot.scene import Scene, load_scene
+from humanpred_ros.robot.shapes import Obstacle
+from humanpred_ros.viewing.run import Run
+from humanpred_ros.viewing.tracks import PostureTrack
+
+_PALM = "right_palm"
+_OUTLINE_SPACING_M = 0.03
+
+
+@dataclass(frozen=True)
+class Workcell:
+    """What a run's recordings are measured and drawn with; parts that cannot be found are None.
+
+    Attributes:
+        scene: the scene the facts name.
+        human: the recorded URDF's model, else the 12-DoF human.
+        notes: why a part is missing.
+    """
+
+    scene: Scene | None
+    human: HumanModel | None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def arm(self) -> Pr2Arm | None:
+        """The robot's arm."""
+        return None if self.scene is None else self.scene.arm
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """Table and objects."""
+        return () if self.scene is None else self.scene.obstacles
+
+    @cached_property
+    def goals(self) -> Mapping[str, FloatArray]:
+        """Goal configurations (7,) by name."""
+        return {} if self.scene is None else {goal.name: goal.configuration for goal in self.scene.goals}
+
+    def joint_limits(self, joint: int) -> tuple[float, float, float]:
+        """Return lower and upper limit and the largest speed of an arm joint; infinite where unknown."""
+        if self.arm is None:
+            return -np.inf, np.inf, np.inf
+        chain = self.arm.chain
+        return float(chain.lower[joint]), float(chain.upper[joint]), float(chain.velocity_limit[joint])
+
+    def tool_path(self, q: FloatArray) -> FloatArray:
+        """Return the tool's places (T, 3) at configurations (T, 7), world frame; none without an arm."""
+        if self.arm is None or not len(q):
+            return np.zeros((0, 3))
+        return np.asarray(self.arm.chain.tool_pose(q)[:, :3, 3], dtype=np.float64)
+
+    def goal_places(self) -> dict[str, FloatArray]:
+        """Return where the tool is at each goal, world frame."""
+        return {name: self.tool_path(q[None])[0] for name, q in self.goals.items()}
+
+    def palm_path(self, postures: PostureTrack) -> FloatArray:
+        """Return the right palm's places (T, 3) in the world frame; none without a scene or a palm."""
+        if self.scene is None or self.human is None or not len(postures) or _PALM not in self.human.link_names:
+            return np.zeros((0, 3))
+        return _moved(self.scene.T_world_human, self.human.forward(postures.q)[_PALM])
+
+    def human_outlines(self, q: FloatArray) -> list[FloatArray]:
+        """Return the outlines (N, 2) of the human's bodies in posture (D,), from above, the lowest body first."""
+        if self.scene is None or self.human is None:
+            return []
+        outlines: list[tuple[float, FloatArray]] = []
+        for body, T in zip(self.human.bodies, self.human.body_poses(q), strict=True):
+            world = _moved(self.scene.T_world_human @ T, body.shape.sample(_OUTLINE_SPACING_M))
+            outlines.append((float(world[:, 2].max()), world[ConvexHull(world[:, :2]).vertices, :2]))
+        return [outline for _, outline in sorted(outlines, key=lambda entry: entry[0])]
+
+
+def load_workcell(run: Run) -> Workcell:
+    """Return the workcell a run's facts and recordings point to; what is missing is told in its notes."""
+    notes = []
+    scene: Scene | None = None
+    name = run.facts.get("scene", "")
+    if not name:
+        notes.append("the bag does not say which scene was used: distances and goals cannot be evaluated")
+    else:
+        try:
+            scene = load_scene(name)
+        except HumanPredError as trouble:
+            notes.append(f"scene {name} cannot be loaded, so distances and goals are not evaluated: {trouble}")
+    human: HumanModel | None = None
+    try:
+        human = HumanModel(run.human_urdf) if run.human_urdf else HumanModel.kinect12()
+        if len(run.postures):
+            human.check_dofs(run.postures.dof_names)
+    except HumanModelError as trouble:
+        human = None
+        notes.append(f"the recorded postures fit no human model, so distances are not evaluated: {trouble}")
+    return Workcell(scene, human, tuple(notes))
+
+
+def _moved(T: FloatArray, points_m: FloatArray) -> FloatArray:
+    moved: FloatArray = points_m @ T[:3, :3].T + T[:3, 3]
+    return moved

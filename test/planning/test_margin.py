@@ -1,0 +1,32 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from humanpred_ros.errors import PlanningError
+from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
+from humanpred_ros.planning.margin import widened
+
+
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 2**32 - 1), margin_m=st.sampled_from([0.0, 0.04, 0.05, 0.0708, 0.1, 0.13]))
+def test_each_voxel_is_as_likely_as_the_likeliest_within_the_margin(seed: int, margin_m: float) -> None:
+    rng = np.random.default_rng(seed)
+    grid = VoxelGrid((0.0, 0.0, 0.0), 0.05, (12, 9, 7))
+    probability = np.where(rng.random(grid.shape) < 0.05, rng.random(grid.shape), 0.0).astype(np.float32)
+    reach = np.arange(-3, 4)
+    distance = 0.05 * np.sqrt(sum(axis**2 for axis in np.meshgrid(reach, reach, reach)))
+    oracle = ndimage.maximum_filter(probability, footprint=distance <= margin_m + 1e-9, mode="constant")
+    wide = widened(Occupancy(grid, probability, 2.5), margin_m)
+    assert np.array_equal(wide.probability, oracle)
+    assert wide.t_s == 2.5
+
+
+@pytest.mark.parametrize("margin_m", [-0.1, np.nan, np.inf])
+def test_an_impossible_margin_is_refused(margin_m: float) -> None:
+    grid = VoxelGrid((0.0, 0.0, 0.0), 0.05, (2, 2, 2))
+    with pytest.raises(PlanningError, match="margin"):
+        widened(Occupancy(grid, np.zeros(grid.shape, dtype=np.float32)), margin_m)

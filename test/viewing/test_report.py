@@ -1,0 +1,207 @@
+"""The report is one sound HTML file, whatever the run was like."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import shlex
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from humanpred_ros.errors import UsageError
+from humanpred_ros.viewing.clearance import measure_clearance
+from humanpred_ros.viewing.figures import goal_colours, report_style, svg_of
+from humanpred_ros.viewing.plots_decisions import cost_terms_plot, goal_costs_plot
+from humanpred_ros.viewing.plots_space import snapshots_plot, top_view_plot
+from humanpred_ros.viewing.plots_time import occupancy_plot
+from humanpred_ros.viewing.report import key_figures, render_report, reproduce_command, write_report
+from humanpred_ros.viewing.run import Run, read_run
+from humanpred_ros.viewing.run_summary import RunSummary
+from humanpred_ros.viewing.summary import summarise
+from humanpred_ros.viewing.workcell import load_workcell
+
+COLOURS = goal_colours(("red", "blue"))
+VOID = {"meta", "link", "br", "img", "input", "hr"}
+
+
+class Page(HTMLParser):
+    """Collects what a sound page must have, and fails on tags that do not match."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.ids: list[str] = []
+        self.references: list[str] = []
+        self.tags: set[str] = set()
+        self.words = ""
+        self._open: list[str] = []
+        self.feed(text)
+        self.close()
+        assert self._open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        if tag not in VOID:
+            self._open.append(tag)
+        for name, value in attrs:
+            if name == "id":
+                self.ids.append(value or "")
+            if name in ("href", "xlink:href", "src"):
+                self.references.append(value or "")
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self._open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if not self._open or self._open[-1] not in ("style", "script"):
+            self.words += data
+
+
+@pytest.fixture(scope="module")
+def text(full: Run, full_summary: RunSummary) -> str:
+    return render_report(full, full_summary)
+
+
+@pytest.fixture(scope="module")
+def page(text: str) -> Page:
+    return Page(text)
+
+
+def test_page_needs_nothing_else(page: Page, text: str) -> None:
+    assert not page.tags & {"script", "link", "iframe", "object"}
+    assert all(reference.startswith(("#", "data:")) for reference in page.references)
+    assert not re.search(r"@import|url\((?!#)", text)
+
+
+def test_links_lead_somewhere_and_ids_are_unique(page: Page) -> None:
+    assert len(page.ids) == len(set(page.ids))
+    for reference in page.references:
+        assert reference.startswith("data:") or reference[1:] in page.ids
+
+
+def test_every_plot_is_well_formed_and_scales(text: str) -> None:
+    plots = re.findall(r"<svg\b.*?</svg>", text, flags=re.DOTALL)
+    assert len(plots) == 9
+    for svg in plots:
+        root = ElementTree.fromstring(svg)
+        assert "viewBox" in root.attrib
+        assert "width" not in root.attrib
+
+
+def test_page_tells_decisions_facts_and_topics(page: Page, full: Run, full_summary: RunSummary) -> None:
+    for topic in full.topics:
+        assert topic.name in page.words
+    for value in full.facts.values():
+        assert value in page.words
+    for row in full_summary.steps:
+        assert f"{row.t_s:.3f}" in page.words
+    assert "in collision with the table at waypoint 31" in page.words
+    assert "1 of 28 missed" in page.words
+    assert "not safety-rated" in page.words
+
+
+def test_same_run_gives_the_same_report(text: str, full: Run, full_summary: RunSummary) -> None:
+    assert render_report(full, full_summary) == text
+
+
+def test_recorded_text_cannot_become_markup(full: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("humanpred_ros.viewing.report.draw_plots", lambda *parts: ())  # slow, and tested above
+    evil = "<script>alert(1)</script> & <b>"
+    decisions = tuple(dataclasses.replace(d, reason=evil) if d.goals else d for d in full.decisions)
+    run = dataclasses.replace(full, facts={**full.facts, "operator": evil, "trajectory": evil}, decisions=decisions)
+    page = Page(render_report(run, summarise(run)))
+    assert "script" not in page.tags
+    assert evil in page.words
+
+
+def test_empty_run_gives_a_report_that_says_so(make_run: Callable[..., Path], tmp_path: Path) -> None:
+    run = read_run(make_run(n_postures=0))
+    write_report(run, summarise(run), tmp_path / "report.html")
+    page = Page((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert "Nothing was recorded" in page.words
+    assert "No replanning step was recorded" in page.words
+
+
+def test_report_is_replaced_as_a_whole_or_not_at_all(
+    full: Run, full_summary: RunSummary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rendered = "new \N{GREEK SMALL LETTER PI}"
+    monkeypatch.setattr("humanpred_ros.viewing.report.render_report", lambda run, summary: rendered)
+    path = tmp_path / "report.html"
+    path.write_text("old", encoding="utf-8")
+    write_report(full, full_summary, path)
+    assert path.read_text(encoding="utf-8") == rendered
+    assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
+    with pytest.raises(UsageError, match="cannot be written"):
+        write_report(full, full_summary, tmp_path / "no" / "report.html")
+
+
+def test_command_to_repeat_is_one_the_command_line_takes(full: Run) -> None:
+    from humanpred_ros.cli import _parser
+
+    facts = {**full.facts, "mode": "stepped", "library": "my reaches; rm -rf"}
+    words = shlex.split(reproduce_command(dataclasses.replace(full, facts=facts)))
+    assert words[0] == "humanpred"
+    options = _parser().parse_args(words[1:])
+    assert (options.scene, options.library, options.trajectory) == ("face_to_face", "my reaches; rm -rf", "3/2")
+    assert (options.seed, options.stepped, options.predictor) == (7, True, "swept_volume")
+
+
+def test_bad_news_is_marked(full_summary: RunSummary) -> None:
+    def alarms(summary: RunSummary) -> set[str]:
+        return {figure.name for figure in key_figures(summary) if figure.alarming}
+
+    assert alarms(full_summary) == {"replanning steps"}
+    assert full_summary.closest is not None
+    touching = dataclasses.replace(full_summary.closest, distance_m=-0.01)
+    worse = dataclasses.replace(full_summary, closest=touching, reached=None, peak_velocity=1.2)
+    assert alarms(worse) == {"replanning steps", "closest to human", "goal reached", "fastest joint"}
+
+
+def test_plots_survive_costs_that_are_zero_missing_or_alone(full: Run) -> None:
+    step = full.steps[0]
+    goals = tuple(dataclasses.replace(goal, selection_cost=float("nan"), valid=False) for goal in step.goals)
+    free = tuple(dataclasses.replace(goal, selection_cost=0.0, terms={"obstacle": 0.0}) for goal in step.goals)
+    for changed in ((dataclasses.replace(step, goals=goals),), (dataclasses.replace(step, goals=free, chosen=""),)):
+        run = dataclasses.replace(full, decisions=changed)
+        with report_style():
+            for draw in (goal_costs_plot, cost_terms_plot):
+                ElementTree.fromstring(svg_of(draw(run, summarise(run), COLOURS), "plot"))
+
+
+def test_plots_survive_a_run_without_its_scene_or_lattice(full: Run) -> None:
+    bare = dataclasses.replace(full, facts={}, occupancy=dataclasses.replace(full.occupancy, grid=None))
+    summary, workcell = summarise(bare), load_workcell(bare)
+    with report_style():
+        for figure in (
+            top_view_plot(bare, summary, workcell, measure_clearance(bare, workcell), COLOURS),
+            snapshots_plot(bare, summary, workcell, COLOURS),
+            occupancy_plot(bare, summary, COLOURS),
+        ):
+            ElementTree.fromstring(svg_of(figure, "plot"))
+
+
+@given(st.lists(st.text(alphabet="abcdefgh_ ", min_size=1), min_size=1, max_size=8, unique=True))
+def test_goals_can_be_told_apart(names: list[str]) -> None:
+    colours = goal_colours(names)
+    assert list(colours) == names
+    assert len(set(colours.values())) == len(names)
+
+
+def test_goals_named_after_colours_have_them() -> None:
+    colours = goal_colours(["red", "blue cup", "shelf"])
+    rgb = {name: np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) for name, colour in colours.items()}
+    assert rgb["red"].argmax() == 0
+    assert rgb["blue cup"].argmax() == 2
+    assert len(set(colours.values())) == 3
