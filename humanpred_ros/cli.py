@@ -90,14 +90,14 @@ def _generate(options: argparse.Namespace) -> int:
     from humanpred_ros.motion.library_statistics import comparison_markdown
     from humanpred_ros.motion.synthetic import ReachGeneratorConfig, generate_library
 
+    other = load_library(options.compare) if options.compare else None
     config = ReachGeneratorConfig(motions_per_class=options.motions, name=Path(options.out).name)
     with console.status(f"generating {options.motions} motions per class"):
         library = generate_library(config, np.random.default_rng(options.seed))
-    other = load_library(options.compare) if options.compare else None
     write_library_bag(library, options.out, overwrite=options.overwrite)
     console.print(f"{options.out}: {len(library)} motions, seed {options.seed}")
     if other is not None:
-        console.print(comparison_markdown(library, other), markup=False, highlight=False)
+        print(comparison_markdown(library, other))
     return 0
 
 
@@ -110,6 +110,7 @@ def _report(options: argparse.Namespace) -> int:
     summary = summarise(run)
     out = Path(options.out) if options.out else Path(options.run) / "report.html"
     write_report(run, summary, out)
+    out.with_name("summary.json").write_text(summary.to_json(), encoding="utf-8")
     print_summary(summary, console)
     console.print(f"report  {out}")
     return 0

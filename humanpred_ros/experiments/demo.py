@@ -32,6 +32,7 @@ from humanpred_ros.viewing.summary import RunSummary, print_summary, summarise
 _POLL_S = 0.05
 _SETTLE_S = 0.3  # the last messages reach the recorder after the tracker has ended
 _LOG_LINE = re.compile(r"^\[\w+\] \[[\d.]+\] \[stomp_planner\]: (.*)$")
+_TRACKER = "skeleton_tracker_replay"
 _PEERS = ("occupancy_predictor", "stomp_planner", "simulated_pr2", "run_recorder")
 
 
@@ -157,6 +158,11 @@ def _start_nodes(group: NodeGroup, options: DemoOptions, bag: Path, motion: Moti
         "threshold": repr(options.threshold),
         "package_version": __version__,
         "duration_s": repr(motion.duration_s),
+        "hold_out": options.hold_out,
+        "steps": options.steps,
+        "evidence": options.evidence,
+        "window_frames": options.window_frames,
+        "model": options.model or "",
     }
     # With /clock published, stamps are simulated time; otherwise they are wall time, as on a real robot.
     simulated_time = options.stepped or options.rate != 1.0
@@ -165,7 +171,15 @@ def _start_nodes(group: NodeGroup, options: DemoOptions, bag: Path, motion: Moti
     group.start("simulated_pr2", {**common, "scene": options.scene})
     group.start(
         "stomp_planner",
-        {**common, "scene": options.scene, "period_s": period_s, "seed": options.seed, "lossless": options.stepped},
+        {
+            **common,
+            "scene": options.scene,
+            "period_s": period_s,
+            "seed": options.seed,
+            "lossless": options.stepped,
+            "controller": "simulated_pr2",
+            "listener": _TRACKER,
+        },
     )
     group.start(
         "occupancy_predictor",
@@ -178,10 +192,11 @@ def _start_nodes(group: NodeGroup, options: DemoOptions, bag: Path, motion: Moti
             "window_frames": options.window_frames,
             "threshold": options.threshold,
             "lossless": options.stepped,
+            "listener": "stomp_planner",
         },
     )
     group.start(
-        "skeleton_tracker_replay",
+        _TRACKER,
         {
             "library": str(bag),
             "trajectory": motion.name,
@@ -189,13 +204,14 @@ def _start_nodes(group: NodeGroup, options: DemoOptions, bag: Path, motion: Moti
             "rate": options.rate,
             "hold_last_s": options.hold_last_s,
             "wait_for": ",".join(_PEERS),
+            "listener": "occupancy_predictor",
         },
     )
 
 
 def _follow(group: NodeGroup, console: Console) -> None:
     """Show the planner's decisions as they come until the tracker has replayed everything."""
-    tracker = next(node for node in group.nodes if node.name == "skeleton_tracker_replay")
+    tracker = next(node for node in group.nodes if node.name == _TRACKER)
     planner = next(node for node in group.nodes if node.name == "stomp_planner")
     lines = _new_lines(planner)
     with console.status("starting the nodes") as status:

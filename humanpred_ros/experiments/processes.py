@@ -73,18 +73,23 @@ class NodeGroup:
             "ROS_LOG_DIR": str(self.log_directory / "ros"),
             "PYTHONUNBUFFERED": "1",
         }
-        with log.open("wb") as stream:
-            process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=stream,
-                stderr=subprocess.STDOUT,
-                env=environment,
-                start_new_session=True,
-                preexec_fn=_die_with_parent if sys.platform == "linux" else None,
-            )
-        entry = NodeProcess(node, process, log)
-        self.nodes.append(entry)
+        # A Ctrl-C between the start of a process and its entry in the list would leave it behind.
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            with log.open("wb") as stream:
+                process = subprocess.Popen(
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=stream,
+                    stderr=subprocess.STDOUT,
+                    env=environment,
+                    start_new_session=True,
+                    preexec_fn=_prepare_child,
+                )
+            entry = NodeProcess(node, process, log)
+            self.nodes.append(entry)
+        finally:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         return entry
 
     def check(self) -> None:
@@ -138,8 +143,11 @@ def free_domain_id() -> int:
     raise UsageError("no free ROS domain id from 1 to 101 on this machine; end other ROS programs first")
 
 
-def _die_with_parent() -> None:
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+def _prepare_child() -> None:
+    """Let the child take SIGINT again, and on Linux die with its parent."""
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def _yaml(value: ParameterValue) -> str:

@@ -63,6 +63,7 @@ def replay_run(folder: Path, out: Path) -> Comparison:
                 "period_s": float(info["period_s"]),
                 "seed": int(info["seed"]),
                 "lossless": True,
+                "listener": "occupancy_replay",
             },
         )
         source = group.start("occupancy_replay", {"bag": str(folder / "bag"), "wait_for": "run_recorder,stomp_planner"})

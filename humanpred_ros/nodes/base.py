@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 
 from humanpred_ros.errors import HumanPredError
 from humanpred_ros.nodes import qos, topics
@@ -39,6 +40,19 @@ class GraphNode(Node):
 
     def waiting_for(self) -> str:
         """Return what the node still waits for, or an empty string when it is ready."""
+        return ""
+
+    def unmatched(self, publisher: Publisher, listener: str) -> str:
+        """Return what a publisher still lacks before nothing it sends is lost; empty when it lacks nothing.
+
+        It must be matched with every subscription the graph knows of, at least one, and `listener`, if a name
+        is given, must be among their nodes: a recorder alone does not make a graph.
+        """
+        known = self.get_subscriptions_info_by_topic(publisher.topic_name)
+        if listener and listener not in {subscription.node_name for subscription in known}:
+            return f"{listener} to subscribe to {publisher.topic_name}"
+        if publisher.get_subscription_count() < max(1, len(known)):
+            return f"a match with the subscribers of {publisher.topic_name}"
         return ""
 
     def refuse(self, reason: str) -> None:

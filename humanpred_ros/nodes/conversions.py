@@ -183,7 +183,7 @@ def trajectory_from_message(message: JointTrajectory, names: Sequence[str], orig
 
 
 def decision_message(decision: Decision, t_ns: int, compute_ms: float) -> DiagnosticArray:
-    """Return a decision as one status for itself and one per goal; numbers are written so that they read back exactly."""
+    """Return a decision as one status for itself and one per goal; numbers read back exactly."""
     head = DiagnosticStatus(
         name="decision",
         level=DiagnosticStatus.WARN if decision.action in ("hold", "missed") else DiagnosticStatus.OK,
@@ -204,9 +204,9 @@ def decision_message(decision: Decision, t_ns: int, compute_ms: float) -> Diagno
             "chosen" if goal.name == decision.chosen and goal.valid else "candidate" if goal.valid else goal.reason
         )
         values = {
-            "selection_cost": repr(goal.selection_cost),
-            "human": repr(goal.human),
-            "length": repr(goal.length),
+            "selection_cost": repr(float(goal.selection_cost)),
+            "human": repr(float(goal.human)),
+            "length": repr(float(goal.length)),
             "valid": str(goal.valid).lower(),
             "iterations": goal.iterations,
             "warm_start": goal.warm_start,

@@ -76,7 +76,7 @@ class OccupancyPredictorNode(GraphNode):
         return train_model(load_library(locate(self.settings.library, "bags")), self.human, GmmConfig())
 
     def waiting_for(self) -> str:
-        return "" if self.publisher.get_subscription_count() else "a subscriber to the occupancy"
+        return self.unmatched(self.publisher, self.settings.listener)
 
     def on_posture(self, message: JointState) -> None:
         """Predict from one posture and publish; refuse it with a named reason if it cannot be used."""

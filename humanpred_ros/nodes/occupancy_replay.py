@@ -45,7 +45,7 @@ class OccupancyReplay(SteppedSource):
         self.wait_for_graph(stepped=True, clock=True, peers=settings.wait_for, patience_s=(60.0, 30.0))
 
     def waiting_for(self) -> str:
-        return super().waiting_for() or ("" if self.publisher.get_subscription_count() else "a subscriber")
+        return super().waiting_for() or self.unmatched(self.publisher, "stomp_planner")
 
     def publish_next(self) -> None:
         """Publish the next occupancy, or finish after the last."""

@@ -33,6 +33,7 @@ class SkeletonTrackerReplaySettings:
     rate: float = setting(1.0, "playback speed in real_time mode", 0.05, 20.0)
     hold_last_s: float = setting(4.0, "seconds the last posture is repeated after the motion's end", 0.0, 600.0)
     wait_for: str = setting("", "comma-separated nodes whose /diagnostics must say ready before the replay starts")
+    listener: str = setting("", "node that must be listening to the postures before the replay starts")
     ready_timeout_s: float = setting(60.0, "longest wait for those nodes", 0.1, 600.0)
     decision_timeout_s: float = setting(30.0, "longest wait for one decision in stepped mode", 0.1, 600.0)
     publish_clock: bool = setting(False, "publish /clock; always on in stepped mode")
@@ -51,6 +52,7 @@ class OccupancyPredictorSettings:
     predictor: str = setting("swept_volume", "swept_volume (P1), current or current_accumulated (baselines)")
     body_id: str = setting("body_0", "REP-155 body id listened to")
     threshold: float = setting(0.001, "voxels with a higher probability are published", 0.0, 1.0)
+    listener: str = setting("", "node that must be listening to the occupancy before this one is ready")
     restart_gap_s: float = setting(1.0, "a longer silence starts a new motion", 0.05, 60.0)
     lossless: bool = setting(False, "subscribe reliably and keep every posture (stepped runs)")
 
@@ -66,6 +68,8 @@ class StompPlannerSettings:
     waypoints: int = setting(_STOMP.n_waypoints, "waypoints of a path", 10, 1000)
     iterations: int = setting(_STOMP.n_iterations, "STOMP iterations per goal and step", 1, 10000)
     rollouts: int = setting(_STOMP.n_rollouts, "noisy rollouts per iteration", 2, 1000)
+    controller: str = setting("", "node that must be listening to the trajectories before this one is ready")
+    listener: str = setting("", "node that must be listening to the decisions before this one is ready")
     max_human_age_s: float = setting(0.5, "older human occupancy leads to a hold", 0.02, 60.0)
     lossless: bool = setting(False, "subscribe reliably and keep every occupancy (stepped runs)")
 

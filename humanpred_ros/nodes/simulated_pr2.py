@@ -38,7 +38,7 @@ class SimulatedPr2(GraphNode):
         self.startup_timer = self.create_timer(0.1, self.publish_start, clock=self._status_timer.clock)
 
     def waiting_for(self) -> str:
-        return "" if self.publisher.get_subscription_count() else "a subscriber to its joint states"
+        return self.unmatched(self.publisher, "")
 
     def on_trajectory(self, message: JointTrajectory) -> None:
         """Take a trajectory a controller would accept; refuse any other and stay with the old one."""

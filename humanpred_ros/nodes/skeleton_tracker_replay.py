@@ -77,7 +77,7 @@ class SkeletonTrackerReplay(SteppedSource):
         return offsets_ns, postures
 
     def waiting_for(self) -> str:
-        return super().waiting_for() or ("" if self.posture_publisher.get_subscription_count() else "a subscriber")
+        return super().waiting_for() or self.unmatched(self.posture_publisher, self.settings.listener)
 
     def begin(self) -> None:
         if not self.simulated_time:

@@ -6,7 +6,6 @@ import sys
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.duration import Duration
 from sensor_msgs.msg import JointState, PointCloud2
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
@@ -59,7 +58,8 @@ class StompPlannerNode(GraphNode):
     def waiting_for(self) -> str:
         if self.arm_q is None:
             return f"the arm's joints on {topics.JOINT_STATES}"
-        return "" if self.trajectory_publisher.get_subscription_count() else "a controller for the trajectory"
+        listening = self.unmatched(self.decision_publisher, self.settings.listener) if self.settings.listener else ""
+        return self.unmatched(self.trajectory_publisher, self.settings.controller) or listening
 
     def on_joint_state(self, message: JointState) -> None:
         """Remember where the arm is: planning begins there, and begins anew when the clock jumps back."""
@@ -109,8 +109,8 @@ class StompPlannerNode(GraphNode):
         return (self.get_clock().now().nanoseconds - self.origin_ns) * 1e-9
 
     def watch(self) -> None:
-        """Hold when the last human data have become too old to act on."""
-        if self.origin_ns is None or self.holding:
+        """Hold when the last human data have become too old to act on; an arm at rest holds already."""
+        if self.origin_ns is None or self.holding or self.replanner.at_rest(self.now_s()):
             return
         age_s = (self.get_clock().now().nanoseconds - self.last_ns) * 1e-9
         if age_s > self.settings.max_human_age_s:
@@ -120,15 +120,15 @@ class StompPlannerNode(GraphNode):
 
     def publish(self, decision: Decision, stamp_ns: int, received_s: float) -> None:
         """Send the trajectory first, then the decision: who waits for the decision finds the arm informed."""
+        compute_ms = 1e3 * (time.perf_counter() - received_s)
         if decision.trajectory is not None:
             self.trajectory_publisher.publish(
                 conversions.trajectory_message(self.replanner.joint_names, decision.trajectory, self.origin_ns)
             )
-            if self.settings.lossless:
-                self.trajectory_publisher.wait_for_all_acked(Duration(seconds=1))
         if decision.goals or decision.action == "hold":
-            self.get_logger().info(f"t {decision.stamp_s:5.2f} s  {decision.summary()}")
-        compute_ms = 1e3 * (time.perf_counter() - received_s)
+            # People want to see what changes; that a goal is kept is only worth a look when searching a fault.
+            log = self.get_logger().debug if decision.action == "keep" else self.get_logger().info
+            log(f"t {decision.stamp_s:5.2f} s  {decision.summary()}")
         self.decision_publisher.publish(conversions.decision_message(decision, stamp_ns, compute_ms))
         if decision.goals and self.candidate_publisher.get_subscription_count():
             paths = [

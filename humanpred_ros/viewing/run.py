@@ -176,12 +176,12 @@ def _postures(entries: list[Entry], clock: RunClock, load: TopicLoader) -> Postu
 
 
 def _numbered(decisions: list[RecordedDecision], load: TopicLoader) -> tuple[RecordedDecision, ...]:
-    """Return the decisions with step numbers that rise; a planner that was started anew counts from 0 again."""
+    """Return the decisions with step numbers that rise; a planner that was started anew counts from 1 again."""
     numbers = [decision.step for decision in decisions if decision.is_step]
-    if all(number >= 0 for number in numbers) and all(np.diff(numbers) > 0):
+    if all(number >= 1 for number in numbers) and all(np.diff(numbers) > 0):
         return tuple(decisions)
-    load.notes.append("the planner's step numbers do not rise throughout: replanning steps are counted anew")
-    count = itertools.count()
+    load.notes.append("the planner's step numbers do not rise from 1 on: replanning steps are counted anew")
+    count = itertools.count(1)
     return tuple(replace(decision, step=next(count)) if decision.is_step else decision for decision in decisions)
 
 

@@ -15,7 +15,7 @@ class StepRow:
     """One replanning step, 1-based as in P1.
 
     Attributes:
-        step: its number: the planner's, which counts from 0, plus one.
+        step: its number, the planner's.
         action: replan, keep (no better path was found), hold (no way was found) or missed (too late).
         t_s, percent: data time of the occupancy it was computed on; share of the human's motion over by then.
         best_class, best_probability: most probable class then, None without a posterior.

@@ -77,7 +77,7 @@ def _steps(run: Run) -> tuple[StepRow, ...]:
         best = run.posterior.at(decision.t_s)
         rows.append(
             StepRow(
-                step=decision.step + 1,
+                step=decision.step,
                 action=decision.action,
                 t_s=decision.t_s,
                 percent=run.percent(decision.t_s),

@@ -35,7 +35,7 @@ def _steps_table(summary: RunSummary) -> Table:
             "–" if row.best_class is None else str(row.best_class),
             _text(row.best_probability, ".2f"),
             *(_text(row.costs.get(goal), ".3g") for goal in summary.goals),
-            escape(row.chosen) + _remark(row),
+            _chosen(row),
             _text(row.compute_ms, ".1f"),
         ]
         table.add_row(*cells, style="bold" if row.switched and not row.missed else ("red" if row.missed else None))
@@ -88,10 +88,11 @@ def _latency(latency: LatencyFigures) -> str:
     return f"median {latency.median_ms:.1f} ms, 99 % below {latency.p99_ms:.1f} ms (n = {latency.count})"
 
 
-def _remark(row: StepRow) -> str:
+def _chosen(row: StepRow) -> str:
+    """Return the goal with what is special about the step, short enough for a terminal of 80 columns."""
     if row.action in ("missed", "hold"):
-        return f" ({row.action})"
-    return " (switch)" if row.switched else ""
+        return row.action
+    return ("→ " if row.switched else "") + escape(row.chosen)
 
 
 def _text(value: float | None, form: str, unit: str = "") -> str:

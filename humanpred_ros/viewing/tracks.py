@@ -135,7 +135,7 @@ class RecordedDecision:
     Attributes:
         t_s: stamp of the occupancy.
         action: replan, keep, hold, missed or arrived.
-        step: the planner's number of the replanning step, from 0; -1 where none was computed.
+        step: the planner's number of the replanning step, from 1; -1 where none was computed.
         chosen, previous: goal names, empty if none.
         switched: the chosen goal differs from the previous one.
         reason: the planner's explanation.

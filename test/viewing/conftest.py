@@ -159,7 +159,7 @@ def _answered_postures(
     """Return every posture with what predictor and planner answer to it, as (time of sending, topic, message)."""
     sent: list[tuple[int, str, Any]] = []
     postures = posture_at(np.minimum(times_s, POSTURE_S * (script.n_postures - 1)))
-    step, last_due_s, chosen = 0, 0.0, ""  # steps are counted from 1 here, from 0 in the messages
+    step, last_due_s, chosen = 0, 0.0, ""
     for k, (t_s, q) in enumerate(zip(times_s.tolist(), postures, strict=True)):
         stamp = script.origin_ns + round(t_s * 1e9)
         if k == script.nan_posture:
@@ -184,7 +184,7 @@ def _answered_postures(
             action = "missed" if step == script.missed_step else "replan"
             better = chosen if action == "missed" else better
             values |= {
-                "step": str(step - 1), "chosen": better, "switched": str(bool(chosen) and better != chosen).lower(),
+                "step": str(step), "chosen": better, "switched": str(bool(chosen) and better != chosen).lower(),
                 "reason": "planned after its switch time" if action == "missed" else "",
                 "t_switch_s": repr(t_s + PERIOD_S), "compute_ms": "27.5",
             }  # fmt: skip

@@ -78,7 +78,7 @@ def test_occupancy_sums_up_and_is_kept_where_it_was_planned_on(full: Run, scene:
 
 def test_decisions_keep_costs_to_the_last_bit(full: Run) -> None:
     step = full.steps[3]
-    assert (step.action, step.step, step.chosen, step.previous, step.switched) == ("replan", 3, "blue", "red", True)
+    assert (step.action, step.step, step.chosen, step.previous, step.switched) == ("replan", 4, "blue", "red", True)
     assert step.t_switch_s == pytest.approx(step.t_s + PERIOD_S, abs=1e-9)
     assert step.compute_s == pytest.approx(0.0275)
     blue = step.plan_of_chosen
@@ -102,11 +102,11 @@ def test_steps_are_what_was_planned_and_compared(full: Run) -> None:
 def test_steps_of_a_restarted_planner_are_counted_anew_and_told(tmp_path: Path) -> None:
     goal = (0, "red", "chosen", {"selection_cost": "1.0"})
     with BagWriter(tmp_path / "bag") as writer:
-        for k, step in enumerate((0, 1, 0, 1, 2)):
+        for k, step in enumerate((1, 2, 1, 2, 3)):
             array = messages.diagnostic_array(10 * k, [(0, "decision", "replan", {"step": str(step)}), goal])
             writer.write_message(run_topics.DECISION, 10 * k, array)
     run = read_run(tmp_path)
-    assert [step.step for step in run.steps] == [0, 1, 2, 3, 4]
+    assert [step.step for step in run.steps] == [1, 2, 3, 4, 5]
     assert any("counted anew" in text for text in run.notes)
 
 

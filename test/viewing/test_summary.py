@@ -153,7 +153,7 @@ def test_a_hold_lasts_until_the_arm_is_sent_on(full: Run) -> None:
 
 
 def test_a_step_without_any_way_is_a_step_and_a_hold(full: Run) -> None:
-    k = next(k for k, decision in enumerate(full.decisions) if decision.step == 5)
+    k = next(k for k, decision in enumerate(full.decisions) if decision.step == 6)
     goals = tuple(dataclasses.replace(goal, valid=False, message="in collision") for goal in full.decisions[k].goals)
     stuck = dataclasses.replace(full.decisions[k], action="hold", reason="no goal can be reached", goals=goals)
     summary = summarise(dataclasses.replace(full, decisions=(*full.decisions[:k], stuck, *full.decisions[k + 1 :])))

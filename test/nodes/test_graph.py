@@ -1,0 +1,262 @@
+"""The whole graph as separate processes over DDS on a shipped bag, with numeric verdicts."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from numpy.typing import NDArray
+from paths import REPOSITORY
+from rich.console import Console
+from rosbags.rosbag2 import Reader
+from waiting import processes_with_environment, wait_until
+
+from humanpred_ros.experiments.demo import DemoOptions, period_of, run_demo
+from humanpred_ros.experiments.direct_run import run_direct
+from humanpred_ros.experiments.reproduce import compare_bags, replay_run
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.library_io import load_library
+from humanpred_ros.motion.motion import Motion
+from humanpred_ros.occupancy.factory import make_predictor
+from humanpred_ros.occupancy.swept_volume import BodyVoxeliser
+from humanpred_ros.planning.replanner import MultiGoalReplanner
+from humanpred_ros.recognition.model_file import load_model
+from humanpred_ros.recording.messages import point_cloud2_fields
+from humanpred_ros.recording.reader import BagReader
+from humanpred_ros.robot.scene import load_scene
+
+pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
+from humanpred_ros.nodes import conversions, topics
+from humanpred_ros.nodes.settings import StompPlannerSettings
+
+LABEL, INDEX = 3, 2
+OPTIONS = DemoOptions(trajectory=f"{LABEL}/{INDEX}", stepped=True, seed=3)
+POSTURES = topics.human_joint_states("body_0")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of one stepped run on the shipped library."""
+    folder = tmp_path_factory.mktemp("graph") / "run"
+    options = DemoOptions(**{**OPTIONS.__dict__, "out": str(folder)})
+    summary = run_demo(options, Console(file=io.StringIO()))
+    assert summary.missed == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def bag(run: Path) -> BagReader:
+    return BagReader(run / "bag")
+
+
+@pytest.fixture(scope="module")
+def motion() -> Motion:
+    return load_library(REPOSITORY / "bags" / "synthetic_reaches").find(OPTIONS.trajectory or "")
+
+
+def by_stamp(bag: BagReader, topic: str) -> dict[int, Any]:
+    return {conversions.stamp_ns(message.header.stamp): message for _, message in bag.decoded(topic)}
+
+
+def test_every_posture_arrives_and_is_answered_once(bag: BagReader, motion: Motion) -> None:
+    stamps = list(by_stamp(bag, POSTURES))
+    assert len(stamps) == bag.topics[POSTURES].count >= len(motion)
+    assert list(by_stamp(bag, topics.OCCUPANCY)) == stamps
+    assert list(by_stamp(bag, topics.HUMAN_GOALS)) == stamps
+    decisions = by_stamp(bag, topics.DECISION)
+    assert list(decisions) == stamps
+    assert len(stamps) == bag.topics[topics.DECISION].count
+    recorded = np.array([message.position for message in by_stamp(bag, POSTURES).values()])
+    assert np.array_equal(recorded[: len(motion)], motion.q)
+
+
+def test_the_true_class_is_recognised(bag: BagReader, motion: Motion) -> None:
+    posteriors = [point_cloud2_fields(message) for message in by_stamp(bag, topics.HUMAN_GOALS).values()]
+    for fields in posteriors:
+        assert fields["probability"].sum() == pytest.approx(1.0, abs=1e-5)
+    at_the_end_of_the_reach = posteriors[int(0.7 * len(motion))]
+    truth = fields_of(at_the_end_of_the_reach, LABEL)
+    assert truth > 0.5
+
+
+def fields_of(fields: dict[str, NDArray[Any]], label: int) -> float:
+    return float(fields["probability"][fields["class_id"] == label][0])
+
+
+def test_occupancy_is_the_posterior_times_the_swept_volumes(run: Path, bag: BagReader) -> None:
+    scene, human = load_scene(OPTIONS.scene), HumanModel.kinect12()
+    model = load_model(run / "model.npz", human)
+    predictor: Any = make_predictor("swept_volume", model, human, scene.grid, scene.T_world_human)
+    voxeliser = BodyVoxeliser(human, scene.grid, scene.T_world_human, 0.02)
+    swept = {label: voxeliser.mask(model.regressed_motion(label).q) for label in model.labels}
+    goals = by_stamp(bag, topics.HUMAN_GOALS)
+    for stamp, cloud in list(by_stamp(bag, topics.OCCUPANCY).items())[::25]:
+        p = point_cloud2_fields(cloud)["probability"]
+        assert ((p > OPTIONS.threshold) & (p <= 1.0)).all()
+        posterior = point_cloud2_fields(goals[stamp])
+        weights = {int(c): float(q) for c, q in zip(posterior["class_id"], posterior["probability"], strict=True)}
+        expected = sum(weights[label] * predictor.swept_voxels[label] for label in model.labels)
+        # The sum law holds up to the voxels too unlikely to be published.
+        unpublished = OPTIONS.threshold * sum(predictor.swept_voxels.values())
+        assert -1e-3 * expected <= expected - p.sum(dtype=np.float64) <= unpublished
+        best = max(weights, key=lambda label: weights[label])
+        inside = conversions.occupancy_from_cloud(cloud, scene.grid, 0.0).probability[swept[best]]
+        assert inside.min() >= weights[best] - 1e-5
+
+
+def test_trajectories_keep_limits_times_and_continuity(bag: BagReader) -> None:
+    scene = load_scene(OPTIONS.scene)
+    chain = scene.arm.chain
+    messages = list(by_stamp(bag, topics.TRAJECTORY).values())
+    assert messages
+    origin_ns = next(iter(by_stamp(bag, POSTURES)))
+    executing = None
+    for message in messages:
+        trajectory = conversions.trajectory_from_message(message, chain.joint_names, origin_ns)
+        t = np.linspace(trajectory.start_s, trajectory.end_s, 500)
+        q, v, _ = trajectory.sample(t)
+        assert (np.abs(v) <= chain.velocity_limit * 1.001).all()
+        assert ((q >= chain.lower - 0.01) & (q <= chain.upper + 0.01)).all()
+        before = (scene.start, 0.0, 0.0) if executing is None else executing.sample(trajectory.start_s)
+        for was, becomes in zip(before, (trajectory.q[0], trajectory.v[0], trajectory.a[0]), strict=True):
+            np.testing.assert_allclose(becomes, was, atol=1e-6)
+        executing = trajectory
+    goals = np.array([goal.configuration for goal in scene.goals])
+    assert np.abs(goals - executing.q[-1]).max(axis=1).min() < 1e-6  # type: ignore[union-attr]
+    # The simulated arm was where it was told to be.
+    for stamp, state in list(by_stamp(bag, topics.JOINT_STATES).items())[-5:]:
+        told = executing.sample((stamp - origin_ns) * 1e-9)[0]  # type: ignore[union-attr]
+        np.testing.assert_allclose(state.position, told, atol=1e-6)
+
+
+def test_the_bag_is_complete_for_other_readers(run: Path) -> None:
+    (file,) = (run / "bag").glob("*.mcap")
+    with file.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        by_mcap = sum(1 for _ in reader.iter_messages())
+        facts = {record.name: record.metadata for record in reader.iter_metadata()}
+    with Reader(run / "bag") as other:
+        assert sum(1 for _ in other.messages()) == by_mcap == other.message_count
+        names = {connection.topic for connection in other.connections}
+    assert facts["run"]["trajectory"] == OPTIONS.trajectory
+    expected = (POSTURES, topics.human_urdf("body_0"), topics.VOXEL_GRID, topics.CANDIDATES, topics.CLOCK)
+    assert names.issuperset(expected)
+    assert "<svg" in (run / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_stepped_run_decides_as_the_library_called_directly(run: Path, bag: BagReader, motion: Motion) -> None:
+    scene, human = load_scene(OPTIONS.scene), HumanModel.kinect12()
+    predictor = make_predictor(
+        OPTIONS.predictor, load_model(run / "model.npz", human), human, scene.grid, scene.T_world_human
+    )
+    settings = StompPlannerSettings(period_s=period_of(motion, OPTIONS.steps), seed=OPTIONS.seed, threads=1)
+    replanner = MultiGoalReplanner.for_scene(scene, settings.replanner_config())
+    n_held = int(OPTIONS.hold_last_s / motion.period_s)
+    direct = run_direct(scene, predictor, replanner, motion, OPTIONS.threshold, n_held)
+    over_dds = by_stamp(bag, topics.DECISION)
+    assert len(direct) == len(over_dds)
+    origin_ns = next(iter(over_dds))
+    for decision, (stamp, message) in zip(direct, over_dds.items(), strict=True):
+        assert facts_of(message) == facts_of(conversions.decision_message(decision, stamp, 0.0))
+    sent = by_stamp(bag, topics.TRAJECTORY)
+    planned = [decision.trajectory for decision in direct if decision.trajectory is not None]
+    assert len(sent) == len(planned) >= 1
+    for trajectory, message in zip(planned, sent.values(), strict=True):
+        expected = conversions.trajectory_message(replanner.joint_names, trajectory, origin_ns)
+        assert conversions.stamp_ns(expected.header.stamp) == conversions.stamp_ns(message.header.stamp)
+        for ours, theirs in zip(expected.points, message.points, strict=True):
+            assert conversions.stamp_ns(ours.time_from_start) == conversions.stamp_ns(theirs.time_from_start)
+            assert ours.positions.tolist() == theirs.positions.tolist()
+            assert ours.velocities.tolist() == theirs.velocities.tolist()
+            assert ours.accelerations.tolist() == theirs.accelerations.tolist()
+    assert any(decision.action == "arrived" for decision in direct)
+
+
+def facts_of(message: Any) -> list[tuple[str, str, dict[str, str]]]:
+    return [
+        (status.name, status.message, {v.key: v.value for v in status.values if v.key != "compute_ms"})
+        for status in message.status
+    ]
+
+
+def test_a_fresh_planner_fed_the_recorded_occupancy_decides_the_same(run: Path, tmp_path: Path) -> None:
+    comparison = replay_run(run, tmp_path / "replayed")
+    assert comparison.n_decisions > 20
+    assert comparison.n_trajectories >= 1
+    assert comparison.differing == ()
+
+
+def test_a_comparison_finds_what_differs(run: Path, bag: BagReader, tmp_path: Path) -> None:
+    other = DemoOptions(
+        **{**OPTIONS.__dict__, "out": str(tmp_path / "other"), "seed": 4, "model": str(run / "model.npz")}
+    )
+    run_demo(other, Console(file=io.StringIO()))
+    comparison = compare_bags(bag, BagReader(tmp_path / "other" / "bag"))
+    assert comparison.differing
+
+
+@pytest.mark.parametrize("when", ["training", "starting", "moving"])
+def test_ctrl_c_leaves_no_process_and_a_readable_bag(run: Path, tmp_path: Path, when: str) -> None:
+    folder = tmp_path / "run"
+    command = [
+        sys.executable,
+        "-m",
+        "humanpred_ros.cli",
+        "demo",
+        "--trajectory",
+        OPTIONS.trajectory or "",
+        "--out",
+        str(folder),
+    ]
+    if when != "training":
+        command += ["--model", str(run / "model.npz")]
+    demo = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+    )
+    assert demo.stdout is not None
+    try:
+        if when == "training":
+            # The command line has been read once numba or scipy's libraries are mapped: training is under way.
+            wait_until(lambda: "pinocchio" in mapped(demo.pid), "the demo to load its libraries")
+        elif when == "starting":
+            wait_until(lambda: len(list((folder / "logs").glob("*.log"))) >= 4, "the nodes to be started")
+        else:
+            log = folder / "logs" / "skeleton_tracker_replay.log"
+            wait_until(lambda: log.exists() and "replay starts" in log.read_text(encoding="utf-8"), "the replay")
+        os.killpg(demo.pid, signal.SIGINT)
+        output, _ = demo.communicate(timeout=30.0)
+    finally:
+        demo.kill()
+        demo.stdout.close()
+    assert demo.returncode == 130, output
+    assert "interrupted" in output
+    assert processes_with_environment(f"ROS_LOG_DIR={folder}") == []
+    if when == "moving":
+        assert BagReader(folder / "bag").topics[POSTURES].count > 0
+    elif (folder / "bag").exists():
+        assert BagReader(folder / "bag").message_count >= 0
+
+
+def mapped(pid: int) -> str:
+    try:
+        return Path(f"/proc/{pid}/maps").read_text(encoding="utf-8")
+    except OSError:
+        return ""
+
+
+def test_decisions_keep_their_numbers_over_the_wire(bag: BagReader) -> None:
+    planned = [message for message in by_stamp(bag, topics.DECISION).values() if len(message.status) > 1]
+    assert planned
+    for message in planned:
+        for goal in message.status[1:]:
+            values = {item.key: item.value for item in goal.values}
+            assert float(values["selection_cost"]) >= 0.0
+            assert {"cost/human", "cost/obstacle", "cost/smoothness"} <= values.keys()
