@@ -163,9 +163,9 @@ def _parser() -> argparse.ArgumentParser:
         return added
 
     demo = add("demo", _demo, "replay, predict and plan over DDS, recorded to MCAP, with a report at the end")
-    demo.add_argument("--scene", default="face_to_face", help="scene name, or a YAML file")
+    demo.add_argument("--scene", default="four_places", help="scene name, or a YAML file")
     demo.add_argument("--library", default="synthetic_reaches", help="bag, CSV folder, or the name of a shipped one")
-    demo.add_argument("--trajectory", help="class/index, or the running number over sorted classes")
+    demo.add_argument("--trajectory", default="3/2", help="class/index, or the running number over sorted classes")
     demo.add_argument("--model", help="model file made by `humanpred train`; default: train now")
     demo.add_argument("--hold-out", type=int, default=5, help="first motions of each class not trained on")
     demo.add_argument("--predictor", default="swept_volume", help="swept_volume, or current (the baseline)")

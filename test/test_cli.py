@@ -156,7 +156,9 @@ def test_a_model_made_for_another_human(
     monkeypatch.setattr(HumanModel, "kinect12", classmethod(lambda cls: other))
     out = tmp_path / "run"
     expect_refusal(
-        ["demo", "--library", str(library), "--model", str(model), "--out", str(out)], "another human", capsys
+        ["demo", "--library", str(library), "--trajectory", "0/0", "--model", str(model), "--out", str(out)],
+        "another human",
+        capsys,
     )
     assert not out.exists()
 
@@ -166,7 +168,17 @@ def test_a_damaged_model(library: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert main(["train", str(library), "--out", str(model), "--components", "3"]) == 0
     model.write_bytes(model.read_bytes()[:-2000])
     expect_refusal(
-        ["demo", "--library", str(library), "--model", str(model), "--out", str(tmp_path / "run")],
+        [
+            "demo",
+            "--library",
+            str(library),
+            "--trajectory",
+            "0/0",
+            "--model",
+            str(model),
+            "--out",
+            str(tmp_path / "run"),
+        ],
         "model.npz",
         capsys,
     )
@@ -181,7 +193,9 @@ def test_unknown_names_list_the_valid_ones(library: Path, tmp_path: Path, capsys
 def test_a_run_folder_is_never_written_over(library: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "precious").write_text("data", encoding="utf-8")
-    expect_refusal(["demo", "--library", str(library), "--out", str(tmp_path / "run")], "not empty", capsys)
+    expect_refusal(
+        ["demo", "--library", str(library), "--trajectory", "0/0", "--out", str(tmp_path / "run")], "not empty", capsys
+    )
     assert (tmp_path / "run" / "precious").read_text(encoding="utf-8") == "data"
 
 

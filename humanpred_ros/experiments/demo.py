@@ -43,7 +43,7 @@ class DemoOptions:
     Attributes:
         scene: name in config/scenes, or a YAML file.
         library: motion library the reach comes from and the classes are trained on.
-        trajectory: `class/index` or running number; None takes the first held-out motion of the first class.
+        trajectory: `class/index` or running number.
         model: trained model file; None trains on the library without the held-out motions.
         hold_out: this many first motions of every class are kept from training (P1 leaves out five).
         seed: of the planner and of training.
@@ -57,9 +57,9 @@ class DemoOptions:
         out: folder of the run; None makes one below runs/.
     """
 
-    scene: str = "face_to_face"
+    scene: str = "four_places"
     library: str = "synthetic_reaches"
-    trajectory: str | None = None
+    trajectory: str = "3/2"
     model: str | None = None
     hold_out: int = 5
     seed: int = 0
@@ -84,7 +84,7 @@ def run_demo(options: DemoOptions, console: Console) -> RunSummary:
     library = load_library(locate(options.library, "bags"))
     human = HumanModel.kinect12()
     human.check_dofs(library.dof_names)
-    motion = library.find(options.trajectory) if options.trajectory else library.of_class(library.labels[0])[0]
+    motion = library.find(options.trajectory)
     folder = _new_folder(options, scene, motion)
     model = None
     if options.model:

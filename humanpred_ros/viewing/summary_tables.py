@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -20,12 +21,13 @@ def print_summary(summary: RunSummary, console: Console) -> None:
 
 
 def _steps_table(summary: RunSummary) -> Table:
-    table = Table(title="replanning steps", title_justify="left", header_style="bold")
+    table = Table(title="replanning steps and the cost of every goal", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.title_justify = "left"
     for name in ("step", "t in s", "reach", "class", "p"):
         table.add_column(name, justify="right")
     for goal in summary.goals:
-        table.add_column(f"cost {escape(goal)}", justify="right")
-    table.add_column("chosen")
+        table.add_column(escape(goal), justify="right", min_width=6)
+    table.add_column("chosen", no_wrap=True)
     table.add_column("ms", justify="right")
     for row in summary.steps:
         cells = [
@@ -34,7 +36,7 @@ def _steps_table(summary: RunSummary) -> Table:
             _text(row.percent, ".0f", " %"),
             "–" if row.best_class is None else str(row.best_class),
             _text(row.best_probability, ".2f"),
-            *(_text(row.costs.get(goal), ".3g") for goal in summary.goals),
+            *(_text(row.costs.get(goal), ".4f") for goal in summary.goals),
             _chosen(row),
             _text(row.compute_ms, ".1f"),
         ]

@@ -59,7 +59,7 @@ def bag(run: Path) -> BagReader:
 
 @pytest.fixture(scope="module")
 def motion() -> Motion:
-    return load_library(REPOSITORY / "bags" / "synthetic_reaches").find(OPTIONS.trajectory or "")
+    return load_library(REPOSITORY / "bags" / "synthetic_reaches").find(OPTIONS.trajectory)
 
 
 def by_stamp(bag: BagReader, topic: str) -> dict[int, Any]:
@@ -178,6 +178,8 @@ def test_a_stepped_run_decides_as_the_library_called_directly(run: Path, bag: Ba
             assert ours.velocities.tolist() == theirs.velocities.tolist()
             assert ours.accelerations.tolist() == theirs.accelerations.tolist()
     assert any(decision.action == "arrived" for decision in direct)
+    # The person takes the place the arm was going to; it goes to another one.
+    assert any(decision.switched for decision in direct)
 
 
 def facts_of(message: Any) -> list[tuple[str, str, dict[str, str]]]:
@@ -212,7 +214,7 @@ def test_ctrl_c_leaves_no_process_and_a_readable_bag(run: Path, tmp_path: Path, 
         "humanpred_ros.cli",
         "demo",
         "--trajectory",
-        OPTIONS.trajectory or "",
+        OPTIONS.trajectory,
         "--out",
         str(folder),
     ]

@@ -53,8 +53,20 @@ def test_straight_lines_have_the_length_recomputed_from_the_papers_figures(
     assert distance == pytest.approx(length, abs=0.01)
 
 
+def test_the_tool_is_above_the_places_that_people_reach_for() -> None:
+    # Goal places of library_a in the scene's frame (facts section 2).
+    places = {"place 2": (0.020, -0.770), "place 3": (-0.220, -0.674), "place 5": (0.372, -0.596)}
+    places["place 6"] = (0.147, -0.531)
+    scene = load_scene("four_places")
+    assert {goal.name for goal in scene.goals} == places.keys()
+    for goal in scene.goals:
+        tool = scene.arm.chain.tool_pose(goal.configuration)[:3, 3]
+        assert np.linalg.norm(tool[:2] - places[goal.name]) < 0.03
+        assert tool[2] - 0.72 == pytest.approx(0.15, abs=0.02)
+
+
 def test_scenes_hold_what_the_experiments_need() -> None:
-    assert scene_names() == ("face_to_face", "side_by_side")
+    assert scene_names() == ("face_to_face", "four_places", "side_by_side")
     assert [goal.name for goal in FACE.goals] == ["red", "blue"]
     assert [goal.name for goal in SIDE.goals] == ["red"]
     for scene in (FACE, SIDE):
@@ -166,7 +178,7 @@ def test_radians_and_degrees_say_the_same(tmp_path: Path) -> None:
 
 
 def test_files_that_are_not_scenes_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match=r"face_to_face, side_by_side.*'back_to_back'"):
+    with pytest.raises(SceneError, match=r"face_to_face, four_places, side_by_side.*'back_to_back'"):
         load_scene("back_to_back")
     with pytest.raises(SceneError, match="readable file"):
         load_scene(tmp_path / "missing.yaml")

@@ -220,7 +220,7 @@ def test_an_empty_run_has_a_summary(make_run: Callable[..., Path]) -> None:
 
 def test_printed_table_names_goals_and_survives_markup(full: Run, full_summary: RunSummary) -> None:
     text = printed(full_summary)
-    assert "cost red" in text
+    assert "cost of every goal" in text
     assert "step 4" in text
     assert "1 of 28" in text
     odd = tuple(dataclasses.replace(d, action="hold", reason="[/bold] odd [reason") for d in full.decisions)
