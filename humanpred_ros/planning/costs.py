@@ -102,7 +102,7 @@ class SmoothnessCost(JointCostTerm):
 
 
 class HumanOccupancyCost(CostTerm):
-    """How many of P1's body points would be inside predicted human occupancy (P1 eq. for the robot's cost).
+    """How many of P1's body points would be inside predicted human occupancy (P1 IV; facts section 4).
 
     The mean of the occupancy over the robot's body points, times `POINTS_OF_P1`; points outside the grid
     count zero. Only the box of occupied voxels is kept.

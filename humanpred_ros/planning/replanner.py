@@ -222,6 +222,10 @@ class MultiGoalReplanner:
         """Return position, velocity and acceleration (D,) commanded at `t_s`."""
         return self._started().state_at(t_s)
 
+    def at_rest(self, t_s: float) -> bool:
+        """Return whether the robot is commanded to rest at `t_s`."""
+        return self._started().at(t_s).end_s <= t_s
+
     def tool_path(self, path: ArrayLike) -> FloatArray:
         """Return the (N, 3) world positions of the tool along a path (N, D)."""
         positions: FloatArray = self.chain.tool_pose(path)[..., :3, 3]

@@ -9,7 +9,8 @@ from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.planning.trajectory import TimedTrajectory, at_rest
 
-_REMEMBERED = 8
+#: Trajectories kept; at ten steps a second this is some seconds of changing movement.
+_REMEMBERED = 64
 
 
 class Schedule:
@@ -19,17 +20,28 @@ class Schedule:
         """Begin with a robot at rest at `q` (D,)."""
         rest = checked("start configuration", q, ("D",), error=PlanningError)
         self._entries = [(float(t_s), at_rest(rest, t_s))]
+        self._forgotten = False
 
     def add(self, from_s: float, trajectory: TimedTrajectory) -> None:
         """Let `trajectory` take over at `from_s`; whatever was to take over then or later is dropped."""
         kept = [entry for entry in self._entries if entry[0] < from_s] or self._entries[:1]
+        self._forgotten = self._forgotten or len(kept) >= _REMEMBERED
         self._entries = [*kept, (from_s, trajectory)][-_REMEMBERED:]
 
     def at(self, t_s: float) -> TimedTrajectory:
-        """Return the trajectory executed at `t_s`."""
+        """Return the trajectory executed at `t_s`; before the first, the robot rests where it began.
+
+        Raises:
+            PlanningError: for a time so long ago that it has been forgotten.
+        """
         for from_s, trajectory in reversed(self._entries):
             if from_s <= t_s:
                 return trajectory
+        if self._forgotten:
+            raise PlanningError(
+                f"state of the robot: wanted {self._entries[0][0]:.3f} s or later, got {t_s:.3f} s; "
+                "collect the decisions' trajectories to look farther back"
+            )
         return self._entries[0][1]
 
     def state_at(self, t_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:

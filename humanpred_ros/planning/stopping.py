@@ -13,6 +13,8 @@ from humanpred_ros.planning.trajectory import LIMIT_TOLERANCE, TimedTrajectory, 
 #: Time step of braking along a trajectory, s, and how long its deceleration takes to build up, in steps.
 _STEP_S = 0.004
 _SMOOTHING_STEPS = 15
+#: Time in which a joint that is speeding up stops doing so, s.
+_LEVEL_OFF_S = 0.05
 #: Share of the limit a stop plans with: a joint that comes to rest between two knots is interpolated.
 _USED = 0.95
 #: Shares of the acceleration limit tried in turn: averaging the deceleration can exceed what was planned.
@@ -31,7 +33,8 @@ def stop_trajectory(
     """Return the way from a state to rest, every joint for itself and as soon as its limits allow.
 
     Each joint's velocity follows the cubic in time that begins with the given velocity and acceleration and
-    ends with both zero. Use `brake_along` where there is a trajectory to stay on.
+    ends with both zero; a joint that is speeding up levels off first. Use `brake_along` where there is a
+    trajectory to stay on.
 
     Args:
         q, v, a: (D,) state in rad, rad/s, rad/s².
@@ -52,17 +55,42 @@ def stop_trajectory(
         raise PlanningError("stop: wanted limits and a sample period > 0, got others")
     if not (v0.any() or a0.any()):
         return at_rest(q0, start_s)
-    lasts = _stop_times(v0, a0, v_limit, _USED * a_limit)
-    duration = float(lasts.max())
-    t = np.linspace(0.0, duration, max(2, int(np.ceil(duration / sample_period_s - 1e-9)) + 1))
-    u = np.minimum(t[:, None] / lasts, 1.0)
-    w = 1.0 - u
-    # The cubic v = w² ((1 + 2u) v0 + u T a0), and its integral.
-    velocity = w**2 * ((1.0 + 2.0 * u) * v0 + u * lasts * a0)
-    acceleration = -6.0 * u * w * v0 / lasts + w * (1.0 - 3.0 * u) * a0
-    position = q0 + lasts * (v0 * (u - u**3 + 0.5 * u**4) + lasts * a0 * u**2 * (0.5 - 2.0 / 3.0 * u + 0.25 * u**2))
+    # A joint that is speeding up first stops doing so: any gentler change would take it beyond its limit.
+    first = np.where(v0 * a0 > 0.0, _LEVEL_OFF_S, 0.0)
+    v1, a1 = v0 + a0 * first / 3.0, np.where(first > 0.0, 0.0, a0)
+    then = _stop_times(v1, a1, v_limit, _USED * a_limit)
+    duration = float((first + then).max())
+    t = np.linspace(0.0, duration, max(2, int(np.ceil(duration / sample_period_s - 1e-9)) + 1))[:, None]
+    before, after = np.minimum(t, first), np.clip((t - first) / then, 0.0, 1.0)
+    level_q, level_v, level_a = _levelling(before, np.where(first > 0.0, first, 1.0), v0, a0)
+    down_q, down_v, down_a = _coming_down(after, then, v1, a1)
+    levelling = t < first
+    position = q0 + level_q + down_q
+    velocity = np.where(levelling, level_v, down_v)
+    acceleration = np.where(levelling, level_a, down_a)
+    velocity[0], acceleration[0] = v0, a0
     velocity[-1] = acceleration[-1] = 0.0
-    return TimedTrajectory(t + start_s, position, velocity, acceleration)
+    return TimedTrajectory(t[:, 0] + start_s, position, velocity, acceleration)
+
+
+def _levelling(
+    t: FloatArray, lasts: FloatArray, v0: FloatArray, a0: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the way made, velocity and acceleration while the acceleration a0 (1 - u)² vanishes."""
+    u = t / lasts
+    w = 1.0 - u
+    way = v0 * t + a0 * lasts**2 * (u / 3.0 - (1.0 - w**4) / 12.0)
+    return way, v0 + a0 * lasts * (1.0 - w**3) / 3.0, a0 * w**2
+
+
+def _coming_down(
+    u: FloatArray, lasts: FloatArray, v0: FloatArray, a0: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the way made, velocity and acceleration at share u of the cubic v = w² ((1 + 2u) v0 + u T a0)."""
+    w = 1.0 - u
+    way = lasts * (v0 * (u - u**3 + 0.5 * u**4) + lasts * a0 * u**2 * (0.5 - 2.0 / 3.0 * u + 0.25 * u**2))
+    velocity = w**2 * ((1.0 + 2.0 * u) * v0 + u * lasts * a0)
+    return way, velocity, -6.0 * u * w * v0 / lasts + w * (1.0 - 3.0 * u) * a0
 
 
 def _stop_times(v0: FloatArray, a0: FloatArray, v_limit: FloatArray, a_limit: FloatArray) -> FloatArray:
@@ -70,10 +98,7 @@ def _stop_times(v0: FloatArray, a0: FloatArray, v_limit: FloatArray, a_limit: Fl
     longest = 4.0 * np.abs(v0) / a_limit + np.abs(a0) / a_limit + 0.05
     share = np.linspace(0.02, 1.0, 200)[:, None, None]
     times = share * longest  # (200, 1, D)
-    u = np.linspace(0.0, 1.0, 41)[:, None]
-    w = 1.0 - u
-    v = w**2 * ((1.0 + 2.0 * u) * v0 + u * times * a0)
-    a = -6.0 * u * w * v0 / times + w * (1.0 - 3.0 * u) * a0
+    _, v, a = _coming_down(np.linspace(0.0, 1.0, 41)[:, None], times, v0, a0)
     over_v = np.abs(v).max(axis=1) / np.maximum(v_limit, np.abs(v0))
     over_a = np.abs(a).max(axis=1) / np.maximum(a_limit, np.abs(a0))
     over = np.maximum(np.maximum(over_v, over_a), 1.0 + 1e-9)  # within the limits, all are as good

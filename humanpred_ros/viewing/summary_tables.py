@@ -28,7 +28,7 @@ def _steps_table(summary: RunSummary) -> Table:
     for goal in summary.goals:
         table.add_column(escape(goal), justify="right", min_width=6)
     table.add_column("chosen", no_wrap=True)
-    table.add_column("ms", justify="right")
+    table.add_column("ms", justify="right", min_width=4)
     for row in summary.steps:
         cells = [
             str(row.step),
@@ -38,7 +38,7 @@ def _steps_table(summary: RunSummary) -> Table:
             _text(row.best_probability, ".2f"),
             *(_text(row.costs.get(goal), ".4f") for goal in summary.goals),
             _chosen(row),
-            _text(row.compute_ms, ".1f"),
+            _text(row.compute_ms, ".0f"),
         ]
         table.add_row(*cells, style="bold" if row.switched and not row.missed else ("red" if row.missed else None))
     return table

@@ -1,0 +1,274 @@
+"""The replanner: the right goal, one step late, continuous, repeatable, and safe when nothing works."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from planning_worlds import field_around, free_space, nobody, planar_arm, somebody_at
+
+from humanpred_ros.errors import GoalUnreachableError, PlanningError
+from humanpred_ros.planning.decision import Decision
+from humanpred_ros.planning.replanner import MultiGoalReplanner
+from humanpred_ros.planning.replanner_config import ReplannerConfig
+from humanpred_ros.planning.stomp import StompConfig
+from humanpred_ros.planning.trajectory import LIMIT_TOLERANCE
+from humanpred_ros.robot.scene import Goal
+
+ARM = planar_arm()
+FREE = free_space()
+START = np.array([0.0, 0.3, 0.3])
+LEFT, RIGHT = np.array([1.2, 0.3, 0.3]), np.array([-1.2, 0.3, 0.3])
+GOALS = (Goal("left", LEFT), Goal("right", RIGHT))
+CONFIG = ReplannerConfig(
+    n_threads=1, human_margin_m=0.0, stomp=StompConfig(n_waypoints=40, n_iterations=15, noise_std=0.01)
+)
+
+
+def replanner(config: ReplannerConfig = CONFIG, goals: tuple[Goal, ...] = GOALS, **parts: object) -> MultiGoalReplanner:
+    subject = MultiGoalReplanner(ARM, goals, parts.get("field", FREE), config)
+    subject.start(START, 0.0)
+    return subject
+
+
+def on_the_way_to(goal: str, t_s: float = 0.0, share: float = 0.5) -> object:
+    """A person where the arm's outer half is when it has gone `share` of the way to a goal."""
+    q = START + share * (dict((g.name, g.configuration) for g in GOALS)[goal] - START)
+    x, y, _ = ARM.chain.link_poses(q)[-1, :3, 3]
+    return somebody_at(x, y, t_s, radius_m=0.15)
+
+
+def steps(subject: MultiGoalReplanner, worlds: list, period: float = 0.1) -> list[Decision]:
+    decisions = []
+    for k, world in enumerate(worlds):
+        decisions.append(subject.plan(world(k * period)))
+        subject.commit(decisions[-1])
+    return decisions
+
+
+@pytest.mark.parametrize(("blocked", "free"), [("left", "right"), ("right", "left")])
+def test_a_person_on_the_way_to_one_goal_makes_it_choose_the_other(blocked: str, free: str) -> None:
+    decision = replanner().plan(on_the_way_to(blocked))
+    assert decision.action == "replan"
+    assert decision.chosen == free
+    assert decision.report(blocked).human > 10 * max(decision.report(free).human, 1e-6)
+    assert {"obstacle", "human", "smoothness"} == set(decision.report(free).cost)
+
+
+def test_a_person_who_steps_in_the_way_makes_it_switch() -> None:
+    worlds = [nobody] * 4 + [lambda t: on_the_way_to("left", t, 0.9)] * 4
+    subject = replanner(goals=(Goal("left", LEFT), Goal("right", RIGHT * 1.4)))
+    decisions = steps(subject, worlds)
+    assert [d.chosen for d in decisions[:4]] == ["left"] * 4
+    assert [d.chosen for d in decisions[4:]] == ["right"] * 4
+    assert [d.switched for d in decisions] == [False] * 4 + [True] + [False] * 3
+    assert decisions[4].report("right").warm_start in ("cheaper", "closest")
+
+
+def test_a_plan_takes_over_one_period_after_its_occupancy() -> None:
+    subject = replanner()
+    decision = subject.plan(nobody(0.4))
+    assert decision.t_switch_s == pytest.approx(0.5)
+    assert decision.trajectory is not None
+    assert decision.trajectory.start_s == pytest.approx(0.5)
+    subject.commit(decision)
+    assert np.array_equal(subject.state_at(0.5)[0], START)
+    assert not np.array_equal(subject.state_at(0.8)[0], START)
+
+
+def test_planning_changes_nothing_until_committed() -> None:
+    subject = replanner()
+    first, again = subject.plan(nobody()), subject.plan(nobody())
+    assert first == again
+    assert np.array_equal(subject.state_at(1.0)[0], START)
+    assert subject.due(0.1)
+    subject.commit(first)
+    assert not np.array_equal(subject.state_at(1.0)[0], START)
+
+
+@pytest.mark.parametrize("selection", ["human_and_length", "total"])
+def test_threads_and_repetition_change_no_bit(selection: str) -> None:
+    worlds = [lambda t: on_the_way_to("left", t, 0.3 + t)] * 6
+    config = replace(CONFIG, selection=selection)
+    runs = [steps(replanner(replace(config, n_threads=n)), worlds) for n in (1, 2, 3, 1)]
+    assert runs[0] == runs[1] == runs[2] == runs[3]
+    assert runs[0] != steps(replanner(replace(config, seed=1)), worlds)
+
+
+@settings(deadline=None, max_examples=12)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_robot_never_jumps_and_keeps_its_limits(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    subject = replanner(replace(CONFIG, min_improvement=0.0, seed=seed % 1000))
+    for k in range(10):
+        world = somebody_at(*rng.uniform(-0.8, 0.8, 2), t_s=0.1 * k, radius_m=rng.uniform(0.05, 0.3))
+        before = [subject.state_at(0.1 * (k + 1))]
+        if rng.random() < 0.15:
+            t = 0.1 * k + 0.05
+            before = [subject.state_at(t)]
+            decision = subject.hold(t, "test")
+            at = t
+        else:
+            decision = subject.plan(world)
+            subject.commit(decision)
+            at = decision.t_switch_s if decision.trajectory is not None else 0.1 * (k + 1)
+        if decision.trajectory is not None:
+            for was, begins in zip(before[0], subject.state_at(at), strict=True):
+                np.testing.assert_allclose(begins, was, atol=1e-9)
+    states = [subject.state_at(t) for t in np.arange(0.3, 4.0, 0.005)]
+    v, a = np.array([s[1] for s in states]), np.array([s[2] for s in states])
+    assert (np.abs(v) <= subject.velocity_limit * (1.0 + LIMIT_TOLERANCE)).all()
+    assert (np.abs(a) <= subject.acceleration_limit * (1.0 + 2.0 * LIMIT_TOLERANCE)).all()
+
+
+def test_it_arrives_and_stays() -> None:
+    subject = replanner()
+    decisions = steps(subject, [nobody] * 40)
+    assert decisions[0].action == "replan"
+    assert "keep" in {d.action for d in decisions}
+    assert decisions[-1].action == "arrived"
+    goal = dict(left=LEFT, right=RIGHT)[decisions[-1].chosen]
+    q, v, a = subject.state_at(10.0)
+    assert np.array_equal(q, goal)
+    assert not v.any()
+    assert not a.any()
+    # Arrived means the task has begun: even a person at the arm does not make it leave.
+    tool = ARM.chain.link_poses(goal)[-1, :3, 3]
+    crowded = subject.plan(somebody_at(tool[0], tool[1], t_s=4.1))
+    assert crowded.action == "arrived"
+    assert crowded.report(crowded.chosen).cost["human"] > 0.0
+    assert subject.keep(nobody(4.15)).action == "arrived"
+
+
+def test_a_path_that_is_hardly_better_is_not_taken() -> None:
+    decisions = steps(replanner(replace(CONFIG, min_improvement=0.5)), [nobody] * 5)
+    assert [d.action for d in decisions] == ["replan"] + ["keep"] * 4
+    assert all(d.trajectory is None for d in decisions[1:])
+    assert all(d.report(d.chosen).warm_start == "executing" for d in decisions[1:])
+
+
+def test_continuous_joints_go_the_shorter_way() -> None:
+    turned = START + np.array([0.0, 0.0, 2.0 * np.pi - 0.5])
+    subject = replanner(goals=(Goal("turned", turned),))
+    path = subject.plan(nobody()).report("turned").path
+    assert np.array_equal(path[0], START)
+    np.testing.assert_allclose(path[-1], START + np.array([0.0, 0.0, -0.5]), atol=1e-12)
+
+
+def test_steps_are_due_once_a_period() -> None:
+    subject = replanner(replace(CONFIG, period_s=0.1))
+    # The first period only watches (P1: 5 % of the motion).
+    assert not subject.due(0.0)
+    assert subject.due(0.1 - 1e-9)
+    subject.commit(subject.plan(nobody(0.1)))
+    assert not subject.due(0.15)
+    assert subject.due(0.2)
+    kept = subject.keep(nobody(0.15))
+    assert (kept.action, kept.stamp_s, kept.trajectory) == ("keep", 0.15, None)
+    assert kept.step == 1
+
+
+def test_a_hold_stops_the_robot_and_the_next_plan_moves_it_again() -> None:
+    subject = replanner()
+    subject.commit(subject.plan(nobody(0.0)))
+    moving = subject.state_at(0.5)
+    hold = subject.hold(0.5, "stale human data")
+    assert (hold.action, hold.reason, hold.t_switch_s) == ("hold", "stale human data", 0.5)
+    assert hold.trajectory is not None
+    for was, begins in zip(moving, subject.state_at(0.5), strict=True):
+        np.testing.assert_allclose(begins, was, atol=1e-12)
+    assert not subject.state_at(hold.trajectory.end_s)[1].any()
+    assert hold.trajectory.end_s < 2.0
+    assert not subject.at_rest(0.5)
+    assert subject.at_rest(hold.trajectory.end_s)
+    assert subject.hold(0.55, "still stale").trajectory is None
+    assert subject.keep(nobody(0.56)).action == "hold"
+    assert subject.due(0.57)
+    resumed = subject.plan(nobody(0.6))
+    subject.commit(resumed)
+    assert resumed.action == "replan"
+    assert subject.state_at(1.5)[1].any()
+
+
+def test_a_hold_forgets_a_plan_that_has_not_taken_over_yet() -> None:
+    subject = replanner()
+    subject.commit(subject.plan(nobody(0.0)))
+    hold = subject.hold(0.05, "too close")
+    assert hold.trajectory is not None
+    assert np.array_equal(subject.state_at(1.0)[0], START)
+
+
+def test_a_plan_that_came_too_late_is_not_executed() -> None:
+    subject = replanner()
+    late = subject.missed(subject.plan(nobody(0.0)))
+    assert (late.action, late.trajectory, late.chosen) == ("missed", None, None)
+    assert len(late.goals) == 2
+    assert np.array_equal(subject.state_at(1.0)[0], START)
+    assert subject.plan(nobody(0.2)).step == late.step + 1
+
+
+def test_nothing_is_executed_through_an_obstacle() -> None:
+    occupied = np.zeros((50, 50, 50), dtype=np.bool_)
+    x, y = np.meshgrid(np.arange(50) * 0.05 - 1.25, np.arange(50) * 0.05 - 1.25, indexing="ij")
+    ring = (np.hypot(x, y) < 1.2) & (np.abs(np.arctan2(y, x)) > 0.75) & (np.hypot(x, y) > 0.12)
+    occupied[ring] = True
+    subject = replanner(field=field_around(occupied, (-1.25, -1.25, -1.25), 0.05))
+    decision = subject.plan(nobody())
+    assert decision.action == "hold"
+    assert decision.trajectory is None  # it rests already
+    assert not any(report.valid for report in decision.goals)
+    assert "obstacle" in decision.reason
+    subject.commit(decision)
+    assert np.array_equal(subject.state_at(5.0)[0], START)
+    assert subject.due(0.01)
+
+
+def test_a_deadline_that_has_passed_leaves_the_straight_line() -> None:
+    decision = replanner().plan(nobody(), deadline=lambda: True)
+    assert decision.action == "replan"
+    assert {report.iterations for report in decision.goals} == {0}
+
+
+def test_selection_is_the_authors_by_default_and_the_total_if_asked() -> None:
+    decision = replanner().plan(on_the_way_to("left"))
+    for report in decision.goals:
+        assert report.selection_cost == pytest.approx(report.human + 0.002 * report.length)
+    total = replanner(replace(CONFIG, selection="total")).plan(on_the_way_to("left"))
+    for report in total.goals:
+        assert report.selection_cost == pytest.approx(report.total)
+
+
+def test_misuse_is_refused() -> None:
+    subject = MultiGoalReplanner(ARM, GOALS, FREE, CONFIG)
+    with pytest.raises(PlanningError, match="start"):
+        subject.plan(nobody())
+    subject.start(START, 0.0)
+    decision = subject.plan(nobody(1.0))
+    subject.commit(decision)
+    with pytest.raises(PlanningError, match="plan again"):
+        subject.commit(decision)
+    with pytest.raises(PlanningError, match="clock jumps back"):
+        subject.plan(nobody(0.5))
+    subject.start(START, 0.0)
+    assert subject.plan(nobody(0.5)).step == 1
+    with pytest.raises(PlanningError, match="different names"):
+        replanner(goals=(GOALS[0], GOALS[0]))
+    with pytest.raises(GoalUnreachableError, match="two"):
+        replanner(goals=(Goal("far", np.array([0.0, 2.7, 0.0])),))
+    with pytest.raises(PlanningError, match="selection"):
+        replace(CONFIG, selection="cheapest")
+    with pytest.raises(PlanningError, match="period_s"):
+        replace(CONFIG, period_s=0.0)
+
+
+def test_warming_up_does_not_disturb() -> None:
+    subject = replanner()
+    before = subject.plan(nobody())
+    subject.warm_up()
+    assert subject.plan(nobody()) == before
+    assert subject.tool_path(before.report("left").path).shape == (40, 3)
+    assert subject.joint_names == ARM.chain.joint_names
+    subject.close()

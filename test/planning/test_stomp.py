@@ -1,0 +1,196 @@
+"""STOMP: exact ends, limits, repeatability, and that it does find a way round."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike, NDArray
+
+from humanpred_ros.errors import ArrayError, PlanningError
+from humanpred_ros.planning.costs import CostTerm, JointLimitCost, SmoothnessCost
+from humanpred_ros.planning.path import straight
+from humanpred_ros.planning.stomp import Plan, StompConfig, StompPlanner
+
+
+class Disc(CostTerm):
+    """A point robot in the plane pays for entering a disc, and may not enter its core."""
+
+    def __init__(self, centre: ArrayLike, radius: float, weight: float = 10.0, forbidden: float = 0.0) -> None:
+        super().__init__("disc", weight)
+        self.centre, self.radius, self.forbidden = np.asarray(centre), radius, forbidden
+
+    def distance(self, q: ArrayLike) -> NDArray[np.float64]:
+        return np.linalg.norm(np.asarray(q)[..., :2] - self.centre, axis=-1)
+
+    def costs(self, q: ArrayLike) -> NDArray[np.float32]:
+        return np.maximum(self.radius - self.distance(q), 0.0).astype(np.float32)
+
+    def valid(self, q: ArrayLike) -> NDArray[np.bool_]:
+        return self.distance(q) >= self.forbidden
+
+    def evaluate(self, q: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
+        return self.costs(q), self.valid(q)
+
+
+WIDE = np.full(2, 10.0)
+LINE = straight([-1.0, 0.05], [1.0, -0.05], 60)
+CONFIG = StompConfig(n_waypoints=60, n_iterations=60, noise_std=0.01)
+
+
+def planner(config: StompConfig = CONFIG, disc: Disc | None = None, limit: ArrayLike = WIDE) -> StompPlanner:
+    terms = [disc or Disc([0.0, 0.0], 0.4), SmoothnessCost(100.0)]
+    return StompPlanner(terms, -np.asarray(limit), np.asarray(limit), config)
+
+
+def same(one: Plan, other: Plan) -> bool:
+    return np.array_equal(one.waypoints, other.waypoints) and one.cost == other.cost and one.total == other.total
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n_joints=st.integers(1, 23),
+    n=st.integers(5, 40),
+    rollouts=st.integers(1, 7),
+    data=st.data(),
+)
+def test_ends_are_exact_and_limits_hold_for_any_arm(
+    seed: int, n_joints: int, n: int, rollouts: int, data: st.DataObject
+) -> None:
+    rng = np.random.default_rng(seed)
+    limit = rng.uniform(0.1, 2.0, n_joints)
+    limit[rng.random(n_joints) < 0.2] = np.inf
+    inside = np.minimum(limit, 3.0)
+    start, goal = rng.uniform(-inside, inside), rng.uniform(-inside, inside)
+    config = StompConfig(
+        n_waypoints=n,
+        n_iterations=4,
+        n_rollouts=rollouts,
+        n_reused=data.draw(st.integers(0, rollouts - 1)),
+        noise_std=tuple(rng.uniform(0.001, 0.3, n_joints)),
+        noise_decay=data.draw(st.sampled_from([0.9, 1.0])),
+    )
+    limits = JointLimitCost(-limit, limit)
+    plan = StompPlanner([limits, SmoothnessCost(1.0)], -limit, limit, config).plan(straight(start, goal, n), rng)
+    assert np.array_equal(plan.waypoints[0], start)
+    assert np.array_equal(plan.waypoints[-1], goal)
+    assert (np.abs(plan.waypoints) <= limit + 1e-6).all()
+    assert np.isfinite(plan.total)
+    assert plan.iterations == 4
+    assert set(plan.cost) == {"joint_limits", "smoothness"}
+    assert plan.total == pytest.approx(sum(plan.cost.values()))
+
+
+def test_it_goes_round_what_costs() -> None:
+    before = planner().assess(LINE)
+    plan = planner().plan(LINE, np.random.default_rng(0))
+    assert plan.cost["disc"] < 0.1 * before.cost["disc"]
+    assert Disc([0.0, 0.0], 0.4).distance(plan.waypoints).min() > 0.3
+
+
+def test_it_is_never_worse_than_what_it_began_with() -> None:
+    for seed in range(10):
+        config = replace(CONFIG, n_iterations=3, noise_std=0.5)
+        plan = planner(config).plan(LINE, np.random.default_rng(seed))
+        assert plan.total <= planner().assess(LINE).total * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize("n_reused", [0, 5])
+def test_the_same_seed_gives_the_same_plan_in_any_thread(n_reused: int) -> None:
+    subject = planner(replace(CONFIG, n_reused=n_reused))
+    alone = [subject.plan(LINE, np.random.default_rng(seed)) for seed in range(6)]
+    with ThreadPoolExecutor(3) as pool:
+        together = list(pool.map(lambda seed: subject.plan(LINE, np.random.default_rng(seed)), range(6)))
+    assert all(same(one, other) for one, other in zip(alone, together, strict=True))
+    assert not same(alone[0], alone[1])
+
+
+class Temptation(Disc):
+    """The straight way is the cheapest, and leads through the forbidden core."""
+
+    def costs(self, q: ArrayLike) -> NDArray[np.float32]:
+        return np.abs(np.asarray(q)[..., 1]).astype(np.float32)
+
+
+def test_an_allowed_trajectory_is_preferred_to_a_cheaper_forbidden_one() -> None:
+    subject = planner(disc=Temptation([0.0, 0.0], 0.4, forbidden=0.2))
+    straight_on = subject.assess(LINE)
+    assert not straight_on.valid
+    assert straight_on.reason.startswith("disc: waypoint")
+    round_about = LINE + np.sin(np.pi * np.linspace(0.0, 1.0, 60))[:, None] * [0.0, 0.5]
+    plan = subject.plan(round_about, np.random.default_rng(1))
+    assert plan.valid
+    assert plan.reason == ""
+    assert straight_on.total < plan.total < subject.assess(round_about).total
+
+
+def test_a_plan_says_why_it_is_not_valid() -> None:
+    blocked = planner(disc=Disc([1.0, -0.05], 0.5, forbidden=0.2)).plan(LINE, np.random.default_rng(0))
+    assert not blocked.valid
+    assert "disc" in blocked.reason
+    outside = planner(limit=[0.9, 1.0]).plan(LINE, np.random.default_rng(0))
+    assert not outside.valid
+    assert outside.reason.startswith("limits: joint 0 at waypoint 0")
+
+
+def test_it_stays_within_limits_that_the_way_round_would_leave() -> None:
+    # Round the disc one would swing out to 0.4; half of that is allowed.
+    limit = [2.0, 0.2]
+    plan = planner(limit=limit).plan(LINE, np.random.default_rng(0))
+    assert plan.valid
+    assert np.abs(plan.waypoints[:, 1]).max() <= 0.2 + 1e-6
+    assert plan.cost["disc"] < planner().assess(LINE).cost["disc"]
+    # Being pushed back from a limit must not leave a corner.
+    assert np.abs(np.diff(plan.waypoints[:, 1], 2)).max() < 0.05
+
+
+def test_a_deadline_ends_it_with_the_best_so_far() -> None:
+    asked = iter([False, False, False, True])
+    plan = planner().plan(LINE, np.random.default_rng(0), deadline=lambda: next(asked))
+    assert plan.iterations == 3
+    assert same(plan, planner(replace(CONFIG, n_iterations=3)).plan(LINE, np.random.default_rng(0))) or plan.total > 0
+    none = planner().plan(LINE, np.random.default_rng(0), deadline=lambda: True)
+    assert none.iterations == 0
+    np.testing.assert_array_equal(none.waypoints, LINE)
+
+
+def test_shares_are_weighted_and_add_up() -> None:
+    light, heavy = Disc([0.0, 0.0], 0.4, weight=1.0), Disc([0.0, 0.0], 0.4, weight=7.0)
+    one, seven = planner(disc=light).assess(LINE), planner(disc=heavy).assess(LINE)
+    assert seven.cost["disc"] == pytest.approx(7.0 * one.cost["disc"])
+    assert seven.total == pytest.approx(seven.cost["disc"] + seven.cost["smoothness"])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"n_waypoints": 4},
+        {"n_reused": 10},
+        {"n_iterations": -1},
+        {"noise_std": 0.0},
+        {"noise_decay": 0.0},
+        {"sharpness": 0.0},
+        {"sharpness": 1000.0},
+    ],
+)
+def test_impossible_settings_are_refused(change: dict[str, float]) -> None:
+    with pytest.raises(PlanningError, match="STOMP: wanted"):
+        replace(CONFIG, **change)
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    with pytest.raises(PlanningError, match="cost terms of different names"):
+        StompPlanner([SmoothnessCost(), SmoothnessCost()], [-1.0], [1.0])
+    with pytest.raises(PlanningError, match="limits"):
+        StompPlanner([SmoothnessCost()], [1.0], [-1.0])
+    with pytest.raises(PlanningError, match="noise_std"):
+        StompPlanner([SmoothnessCost()], [-1.0], [1.0], StompConfig(noise_std=(0.1, 0.1)))
+    with pytest.raises(PlanningError, match="initial trajectory"):
+        planner().plan(LINE[:-1], np.random.default_rng(0))
+    with pytest.raises((PlanningError, ArrayError), match="finite"):
+        planner().plan(np.where(LINE > 0.9, np.nan, LINE), np.random.default_rng(0))
