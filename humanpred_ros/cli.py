@@ -20,7 +20,7 @@ console = Console()
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one subcommand; return the exit status: 0 done, 1 a check found a problem, 2 bad input, 130 interrupted."""
-    options = _parser().parse_args(arguments)
+    options = command_parser().parse_args(arguments)
     command: Callable[[argparse.Namespace], int] = options.command
     try:
         return command(options)
@@ -76,11 +76,24 @@ def _train(options: argparse.Namespace) -> int:
 
 
 def _import(options: argparse.Namespace) -> int:
-    from humanpred_ros.motion.library_io import import_library
+    from collections import Counter
+
+    from humanpred_ros.motion.bag_library import write_library_bag
+    from humanpred_ros.motion.cleaning import clean_library, flag_library
+    from humanpred_ros.motion.library_io import load_library
 
     for source in options.source:
-        bag = import_library(source, options.out, frame_period_s=options.frame_period, overwrite=options.overwrite)
-        console.print(f"{source} -> {bag}")
+        library = load_library(source, frame_period_s=options.frame_period)
+        flags = flag_library(library)
+        for reason, count in Counter(flag.reason for flag in flags).items():
+            console.print(f"{source}: {count} flagged {reason}", markup=False, highlight=False)
+        if options.show_flags:
+            for flag in flags:
+                console.print(f"  {flag}", markup=False, highlight=False)
+        if options.clean or options.drop:
+            library = clean_library(library, drop=options.drop)
+        bag = write_library_bag(library, Path(options.out) / library.name, overwrite=options.overwrite)
+        console.print(f"{source} -> {bag}: {len(library)} motions", markup=False, highlight=False, soft_wrap=True)
     return 0
 
 
@@ -152,7 +165,8 @@ def _bag_salvage(options: argparse.Namespace) -> int:
     return 0
 
 
-def _parser() -> argparse.ArgumentParser:
+def command_parser() -> argparse.ArgumentParser:
+    """Return the parser of every subcommand; `command` is the function it runs."""
     parser = argparse.ArgumentParser(prog="humanpred", description=__doc__)
     parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -188,6 +202,11 @@ def _parser() -> argparse.ArgumentParser:
     imported.add_argument("source", nargs="+", help="folder with class_<k>.csv files")
     imported.add_argument("--out", required=True, help="folder for the bags, one per library")
     imported.add_argument("--overwrite", action="store_true", help="replace bags that exist")
+    imported.add_argument("--show-flags", action="store_true", help="print everything that looks suspicious")
+    imported.add_argument("--clean", action="store_true", help="unwrap angles; without it everything is kept as it is")
+    imported.add_argument(
+        "--drop", action="store_true", help="clean, and leave out motions that are wild or mislabelled"
+    )
     for subparser in (train, imported):
         subparser.add_argument(
             "--frame-period", type=float, default=1 / 60, help="seconds between frames where a CSV has no times"

@@ -1,0 +1,155 @@
+"""Data that cannot be used lead to a counted refusal or a hold with a named reason, never to a crash."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from paths import REPOSITORY
+from waiting import wait_until
+
+from humanpred_ros.experiments.processes import NodeGroup, free_domain_id
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.library_io import load_library
+from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
+from humanpred_ros.recording.reader import BagReader
+from humanpred_ros.robot.scene import load_scene
+
+pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
+import rclpy
+
+from humanpred_ros.nodes import conversions, topics
+from humanpred_ros.nodes.occupancy_predictor import OccupancyPredictorNode
+from humanpred_ros.nodes.stomp_planner import StompPlannerNode
+
+SCENE = load_scene("face_to_face")
+HUMAN = HumanModel.kinect12()
+POSTURE = load_library(REPOSITORY / "bags" / "synthetic_reaches").motions[0].q[0]
+NS = conversions.NS_PER_S
+
+
+@pytest.fixture
+def ros(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[type[Any], dict[str, str]], Any]]:
+    """Return a maker of nodes on a domain of their own."""
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    nodes: list[Any] = []
+
+    def make(kind: type[Any], parameters: dict[str, str]) -> Any:
+        arguments = ["--ros-args"]
+        for name, value in parameters.items():
+            arguments += ["-p", f"{name}:={value}"]
+        rclpy.init(args=arguments, domain_id=free_domain_id())
+        nodes.append(kind())
+        return nodes[-1]
+
+    try:
+        yield make
+    finally:
+        for node in nodes:
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def posture(t_ns: int, q: np.ndarray = POSTURE, names: tuple[str, ...] = HUMAN.dof_names) -> Any:
+    return conversions.joint_state(names, q, t_ns, "kinect")
+
+
+def test_the_predictor_refuses_postures_by_name_and_goes_on(ros: Callable[..., Any]) -> None:
+    node = ros(OccupancyPredictorNode, {"predictor": "current", "scene": "face_to_face"})
+    published: list[int] = []
+    node.publisher.publish = lambda message: published.append(conversions.stamp_ns(message.header.stamp))
+    node.on_posture(posture(1 * NS))
+    spoiled = POSTURE.copy()
+    spoiled[3] = np.nan
+    node.on_posture(posture(1 * NS + 1, spoiled))
+    node.on_posture(posture(1 * NS + 2, POSTURE[:-1], HUMAN.dof_names[:-1]))
+    node.on_posture(posture(1 * NS - 5))
+    node.on_posture(posture(1 * NS))
+    node.on_posture(posture(1 * NS + 3))
+    assert published == [1 * NS, 1 * NS + 3]
+    assert dict(node.refused) == {"not finite": 1, "missing joints": 1, "stamp not increasing": 2}
+    node.on_posture(posture(3 * NS))  # a silence longer than the restart gap: a new motion
+    node.on_posture(posture(1 * NS))  # a jump back by more than that: the recording was started again
+    assert published[2:] == [3 * NS, 1 * NS]
+
+
+def cloud(t_ns: int, grid: VoxelGrid = SCENE.grid) -> Any:
+    probability = np.zeros(grid.shape, dtype=np.float32)
+    probability[5, 5, 5] = 0.5
+    return conversions.occupancy_cloud(Occupancy(grid, probability), 0.0, t_ns)
+
+
+def test_the_planner_holds_on_occupancy_it_cannot_use(ros: Callable[..., Any]) -> None:
+    node = ros(StompPlannerNode, {"scene": "face_to_face", "lossless": "true", "iterations": "5"})
+    decisions: list[Any] = []
+    trajectories: list[Any] = []
+    node.decision_publisher.publish = decisions.append
+    node.trajectory_publisher.publish = trajectories.append
+    node.on_occupancy(cloud(1 * NS))
+    assert decisions == []  # without the arm's joints there is nothing to plan from
+    assert node.refused["no arm"] == 1
+    arm = conversions.joint_state(node.replanner.joint_names, SCENE.start, 1)
+    arm.position[2] = np.nan
+    node.on_joint_state(arm)
+    assert node.arm_q is None
+    node.on_joint_state(conversions.joint_state(node.replanner.joint_names[:-1], SCENE.start[:-1], 1))
+    assert node.arm_q is None
+    node.on_joint_state(conversions.joint_state(node.replanner.joint_names, SCENE.start, 1))
+
+    node.on_occupancy(cloud(1 * NS))
+    node.on_occupancy(cloud(1 * NS + NS // 5))
+    assert [decision.status[0].message for decision in decisions] == ["keep", "replan"]
+    spoiled = cloud(1 * NS + NS // 4)
+    points = np.frombuffer(bytes(spoiled.data), dtype="<f4").copy()
+    points[3] = np.nan
+    spoiled.data = points.tobytes()
+    node.on_occupancy(spoiled)
+    assert decisions[-1].status[0].message == "hold"
+    reason = {item.key: item.value for item in decisions[-1].status[0].values}["reason"]
+    assert "invalid human data: not finite" in reason
+    other = VoxelGrid((-2.01, -3.0, -0.4), 0.05, SCENE.grid.shape)
+    node.on_occupancy(cloud(1 * NS + NS // 3, other))
+    assert decisions[-1].status[0].message == "hold"
+    assert node.refused["other lattice"] == 1
+    node.on_occupancy(cloud(2 * NS))
+    assert decisions[-1].status[0].message in ("replan", "keep")
+
+
+def test_a_tracker_that_dies_stops_the_arm(tmp_path: Path) -> None:
+    with NodeGroup(tmp_path / "logs", free_domain_id()) as group:
+        recorder = {"output": str(tmp_path / "bag"), "markers": False}
+        group.start("run_recorder", recorder)
+        group.start("simulated_pr2", {"scene": "face_to_face"})
+        group.start("stomp_planner", {"scene": "face_to_face", "controller": "simulated_pr2"})
+        group.start("occupancy_predictor", {"predictor": "current", "listener": "stomp_planner"})
+        tracker = group.start(
+            "skeleton_tracker_replay",
+            {
+                "trajectory": "3/2",
+                "wait_for": "occupancy_predictor,stomp_planner,simulated_pr2,run_recorder",
+                "listener": "occupancy_predictor",
+            },
+        )
+        planner = tmp_path / "logs" / "stomp_planner.log"
+        wait_until(lambda: "replan" in planner.read_text(encoding="utf-8"), "the arm to start")
+        tracker.process.kill()
+        wait_until(lambda: "stale human data" in planner.read_text(encoding="utf-8"), "the hold")
+        group.nodes.remove(tracker)
+        group.check()
+        wait_until(lambda: braked(tmp_path / "logs"), "the arm to come to rest", 10.0)
+    bag = BagReader(tmp_path / "bag")
+    actions = [message.status[0].message for _, message in bag.decoded(topics.DECISION)]
+    assert actions[-1] == "hold"
+    states = [message for _, message in bag.decoded(topics.JOINT_STATES)]
+    assert np.abs(states[-1].velocity).max() < 1e-6
+    for goal in SCENE.goals:
+        assert np.abs(np.asarray(states[-1].position) - goal.configuration).max() > 0.05
+
+
+def braked(logs: Path) -> bool:
+    """Whether a second has passed since the planner announced the hold: braking takes less."""
+    return time.time() - (logs / "stomp_planner.log").stat().st_mtime > 1.0
