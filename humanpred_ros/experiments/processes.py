@@ -18,6 +18,8 @@ from humanpred_ros.errors import UsageError
 
 #: Signals in rising order of force, with the seconds a process is given to follow each.
 _ESCALATION = ((signal.SIGINT, 8.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 2.0))
+#: What asks the parent to end.
+_INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
 _POLL_S = 0.02
 _PR_SET_PDEATHSIG = 1
 _TAIL_LINES = 8
@@ -74,7 +76,7 @@ class NodeGroup:
             "PYTHONUNBUFFERED": "1",
         }
         # A Ctrl-C between the start of a process and its entry in the list would leave it behind.
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
         try:
             with log.open("wb") as stream:
                 process = subprocess.Popen(
@@ -89,7 +91,7 @@ class NodeGroup:
             entry = NodeProcess(node, process, log)
             self.nodes.append(entry)
         finally:
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPTS)
         return entry
 
     def check(self) -> None:
@@ -118,11 +120,12 @@ class NodeGroup:
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         # A second Ctrl-C while stopping would leave processes behind.
-        previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        before = {number: signal.signal(number, signal.SIG_IGN) for number in _INTERRUPTS}
         try:
             self.stop()
         finally:
-            signal.signal(signal.SIGINT, previous)
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
 
 def free_domain_id() -> int:
@@ -144,8 +147,9 @@ def free_domain_id() -> int:
 
 
 def _prepare_child() -> None:
-    """Let the child take SIGINT again, and on Linux die with its parent."""
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    """Let the child take SIGINT, whatever the parent did with it, and on Linux die with its parent."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPTS)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 

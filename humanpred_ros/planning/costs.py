@@ -59,7 +59,10 @@ class CostTerm(ABC):
 
         This is what planners call, with a batch that `as_batch` would leave as it is; it need not check.
         """
-        return self.costs(q), None
+        return self.costs(q), self.valid(q) if self._forbids() else None
+
+    def _forbids(self) -> bool:
+        return type(self).valid is not CostTerm.valid
 
 
 class JointCostTerm(CostTerm):
@@ -71,7 +74,7 @@ class JointCostTerm(CostTerm):
 
     def evaluate_joints(self, q: Float32Array) -> tuple[Float32Array, BoolArray | None]:
         """Return costs per joint and validity in one go; like `evaluate`, it need not check the batch."""
-        return self.joint_costs(q), None
+        return self.joint_costs(q), self.valid(q) if self._forbids() else None
 
     def costs(self, q: ArrayLike) -> Float32Array:
         """Return the costs (R, N): the sum over joints."""
@@ -225,9 +228,6 @@ class JointLimitCost(JointCostTerm):
         batch = as_batch(q, len(self._lower))
         outside = (batch < self._lower) | (batch > self._upper)
         return ~np.asarray(outside.any(axis=2))
-
-    def evaluate_joints(self, q: Float32Array) -> tuple[Float32Array, BoolArray | None]:
-        return self.joint_costs(q), self.valid(q)
 
 
 def as_batch(q: ArrayLike, n_joints: int | None = None) -> Float32Array:

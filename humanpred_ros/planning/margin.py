@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.occupancy.grid import Occupancy
+from humanpred_ros.planning.compiled import exact
 
 #: A voxel whose centre is exactly at the margin counts, whatever rounding says.
 _ROUNDING = 1e-9
@@ -38,7 +38,7 @@ def widened(occupancy: Occupancy, margin_m: float) -> Occupancy:
     return Occupancy(occupancy.grid, wide, occupancy.t_s)
 
 
-@njit(cache=True, nogil=True)
+@exact
 def _spread(probability: NDArray[Any], cells: NDArray[Any], offsets: NDArray[Any], wide: NDArray[Any]) -> None:
     nx, ny, nz = wide.shape
     for c in range(len(cells)):

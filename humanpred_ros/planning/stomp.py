@@ -8,7 +8,7 @@ Everything heavy runs compiled and without Python's lock, so that goals planned 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -97,7 +97,6 @@ class _Pool:
     rollouts: Float32Array
     state: Float32Array
     joint: Float32Array
-    best: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
 class StompPlanner:
@@ -153,7 +152,6 @@ class StompPlanner:
             np.empty(shape, np.float32),
             np.empty(shape[:2], np.float32),
             np.empty(shape, np.float32),
-            np.zeros(cfg.n_reused, np.int64),
         )
         # All the randomness of a plan is drawn at once: many small draws cost more than the noise itself.
         lanes = self._smooth.n_free * n_joints
@@ -163,20 +161,21 @@ class StompPlanner:
         best, best_rank = theta.copy(), (True, np.inf)
         done, reused = 0, 0
         while done < cfg.n_iterations and not (deadline is not None and deadline()):
-            self._sample(theta, pool, reused, cfg.noise_decay**done, bits[used:])
+            stomp_kernels.sample(
+                theta, bits[used:], self._std * np.float32(cfg.noise_decay**done), self.lower, self.upper,
+                self._smooth.factor, self._factor32, pool.rollouts[reused:],
+            )  # fmt: skip
             used += lanes * (cfg.n_rollouts - reused)
             valid = self._evaluate(pool, reused)
             rank = (not valid, self._noiseless_total(pool))
             if rank < best_rank:
                 best, best_rank = theta.copy(), rank
             k = cfg.n_rollouts
-            stomp_kernels.improve(
-                theta, pool.rollouts[:k], pool.state[:k], pool.joint[:k], cfg.sharpness,
-                self._smooth.factor, self._smooth.column_scale, self.lower, self.upper,
-            )  # fmt: skip
             reused = cfg.n_reused
-            if reused:
-                stomp_kernels.keep_best(pool.rollouts[:k], pool.state[:k], pool.joint[:k], reused, pool.best)
+            stomp_kernels.update(
+                theta, pool.rollouts[:k], pool.state[:k], pool.joint[:k], cfg.sharpness,
+                self._smooth.factor, self._smooth.column_scale, self.lower, self.upper, reused,
+            )  # fmt: skip
             done += 1
         pool.rollouts[-1] = theta
         valid = self._evaluate(pool, cfg.n_rollouts)
@@ -197,16 +196,6 @@ class StompPlanner:
                 reason = f"{term.name}: waypoint {int(np.argmin(allowed[0]))} of {len(path)} is not allowed"
         waypoints = frozen(path)
         return Plan(waypoints, cost, sum(cost.values()), iterations, not reason, reason)  # type: ignore[arg-type]
-
-    def _sample(self, theta: FloatArray, pool: _Pool, reused: int, decay: float, bits: NDArray[np.uint16]) -> None:
-        """Fill the pool behind the reused rollouts: new ones, then the noiseless trajectory."""
-        lanes = (self.config.n_rollouts - reused) * len(self.lower)
-        noise = stomp_kernels.white_noise(bits, self._smooth.n_free, lanes)
-        stomp_kernels.colour(self._factor32, noise)
-        stomp_kernels.make_rollouts(
-            theta, noise, self._std * np.float32(decay), self.lower, self.upper, self._smooth.factor,
-            pool.rollouts[reused:],
-        )  # fmt: skip
 
     def _evaluate(self, pool: _Pool, first: int) -> bool:
         """Cost the rollouts from `first` on; return whether the noiseless one, the last, is allowed."""

@@ -99,6 +99,39 @@ def _look_up(bits: NDArray[Any], table: NDArray[Any], out: NDArray[Any]) -> None
         out[i] = table[bits[i]]
 
 
+def sample(
+    theta: NDArray[np.float64],
+    bits: NDArray[np.uint16],
+    std: NDArray[np.float32],
+    lower: NDArray[np.float64],
+    upper: NDArray[np.float64],
+    factor: NDArray[np.float64],
+    factor32: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
+    """Write K noisy copies of theta (N, D) within the limits, then theta itself; out (K+1, N, D), from `bits`."""
+    _sample(theta, bits, _QUANTILES, std, lower, upper, factor, factor32, out)
+
+
+@fast
+def _sample(
+    theta: NDArray[Any],
+    bits: NDArray[Any],
+    table: NDArray[Any],
+    std: NDArray[Any],
+    lower: NDArray[Any],
+    upper: NDArray[Any],
+    factor: NDArray[Any],
+    factor32: NDArray[Any],
+    out: NDArray[Any],
+) -> None:
+    n, n_joints = theta.shape
+    noise = np.empty((n - 2, (len(out) - 1) * n_joints), dtype=np.float32)
+    _look_up(bits, table, noise.reshape(-1))
+    colour(factor32, noise)
+    make_rollouts(theta, noise, std, lower, upper, factor, out)
+
+
 @fast
 def keep_within_limits(x: NDArray[Any], lower: NDArray[Any], upper: NDArray[Any], factor: NDArray[Any]) -> int:
     """Push the free waypoints of x (N, D) inside the limits, in place; return how many joints were clipped.
@@ -263,3 +296,22 @@ def keep_best(
             rollouts[b] = rollouts[r]
             state[b] = state[r]
             joint[b] = joint[r]
+
+
+@fast
+def update(
+    theta: NDArray[Any],
+    rollouts: NDArray[Any],
+    state: NDArray[Any],
+    joint: NDArray[Any],
+    sharpness: float,
+    factor: NDArray[Any],
+    column_scale: NDArray[Any],
+    lower: NDArray[Any],
+    upper: NDArray[Any],
+    n_best: int,
+) -> None:
+    """`improve` theta with all rollouts, then bring those that will be reused to the front."""
+    improve(theta, rollouts, state, joint, sharpness, factor, column_scale, lower, upper)
+    if n_best > 0:
+        keep_best(rollouts, state, joint, n_best, np.empty(n_best, dtype=np.int64))

@@ -102,11 +102,11 @@ def _timed(
 ) -> TimedTrajectory:
     smooth = smooth_path(path)
     state = _State(v0, a0, v_limit, a_limit)
-    candidates = [_follow(smooth, state, attempt, period, start_s) for attempt in _ATTEMPTS[:1]]
-    for attempt in _ATTEMPTS[1:]:
+    candidates: list[tuple[float, TimedTrajectory]] = []
+    for attempt in _ATTEMPTS:
+        candidates.append(_follow(smooth, state, attempt, period, start_s))
         if candidates[-1][0] <= 1.0:
             break
-        candidates.append(_follow(smooth, state, attempt, period, start_s))
     excess, trajectory = min(candidates, key=lambda candidate: candidate[0])
     if excess <= 1.0 + LIMIT_TOLERANCE or not may_stop_first:
         return trajectory

@@ -126,8 +126,10 @@ def test_trajectories_keep_limits_times_and_continuity(bag: BagReader) -> None:
         assert (np.abs(v) <= chain.velocity_limit * 1.001).all()
         assert ((q >= chain.lower - 0.01) & (q <= chain.upper + 0.01)).all()
         before = (scene.start, 0.0, 0.0) if executing is None else executing.sample(trajectory.start_s)
-        for was, becomes in zip(before, (trajectory.q[0], trajectory.v[0], trajectory.a[0]), strict=True):
-            np.testing.assert_allclose(becomes, was, atol=1e-6)
+        # Times travel in whole nanoseconds, which accelerations between knots 20 ms apart feel most.
+        state = (trajectory.q[0], trajectory.v[0], trajectory.a[0])
+        for was, becomes, tolerance in zip(before, state, (1e-6, 1e-6, 1e-3), strict=True):
+            np.testing.assert_allclose(becomes, was, atol=tolerance)
         executing = trajectory
     goals = np.array([goal.configuration for goal in scene.goals])
     assert np.abs(goals - executing.q[-1]).max(axis=1).min() < 1e-6  # type: ignore[union-attr]

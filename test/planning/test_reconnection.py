@@ -34,9 +34,6 @@ class Never(CostTerm):
     def valid(self, q: ArrayLike) -> NDArray[np.bool_]:
         return np.asarray(q)[..., 0] <= self.above
 
-    def evaluate(self, q: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
-        return self.costs(q), self.valid(q)
-
 
 @settings(deadline=None, max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), step=st.floats(0.005, 0.3))

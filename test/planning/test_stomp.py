@@ -33,9 +33,6 @@ class Disc(CostTerm):
     def valid(self, q: ArrayLike) -> NDArray[np.bool_]:
         return self.distance(q) >= self.forbidden
 
-    def evaluate(self, q: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
-        return self.costs(q), self.valid(q)
-
 
 WIDE = np.full(2, 10.0)
 LINE = straight([-1.0, 0.05], [1.0, -0.05], 60)
