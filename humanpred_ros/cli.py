@@ -58,9 +58,9 @@ def _demo(options: argparse.Namespace) -> int:
             model=options.model,
             hold_out=options.hold_out,
             seed=options.seed,
-            stepped=options.stepped,
-            rate=options.rate,
+            rate=options.real_time,
             predictor=options.predictor,
+            markers=options.markers,
             evidence=options.evidence,
             window_frames=options.window_frames,
             out=options.out,
@@ -201,8 +201,15 @@ def command_parser() -> argparse.ArgumentParser:
     demo.add_argument("--evidence", default="sum", help="sum or mean of the postures' log densities")
     demo.add_argument("--window-frames", type=int, default=0, help="count only so many last postures; 0 counts all")
     demo.add_argument("--seed", type=int, default=0)
-    demo.add_argument("--stepped", action="store_true", help="wait for the planner after every posture")
-    demo.add_argument("--rate", type=float, default=1.0, help="playback speed in real time")
+    demo.add_argument("--markers", action="store_true", help="record markers too, for viewers")
+    demo.add_argument(
+        "--real-time",
+        type=float,
+        nargs="?",
+        const=1.0,
+        metavar="RATE",
+        help="do not wait for the planner after every posture: play at RATE times the recorded speed (1)",
+    )
     demo.add_argument("--out", help="folder of the run; default: a new one below runs/")
 
     train = add("train", _train, "learn a model from a motion library")

@@ -47,13 +47,14 @@ class DemoOptions:
         model: trained model file; None trains on the library without the held-out motions.
         hold_out: this many first motions of every class are kept from training (P1 leaves out five).
         seed: of the planner and of training.
-        stepped: wait for the planner after every posture instead of running in real time.
-        rate: playback speed in real time.
+        rate: playback speed in real time; None steps: the next posture waits for the decision on the last, so
+            that a run comes out the same on any machine.
         steps: replanning steps per human motion (P1: 20, so 5 % each).
         predictor: what predicts the occupancy.
         evidence, window_frames: how the classifier weighs the postures seen (`GmmConfig`; 0 counts all).
         threshold: voxels at or below this probability are not published.
         hold_last_s: how long the human stays at the end, for the arm to finish.
+        markers: record markers too, for a look at the bag in a viewer; costs the nodes time.
         out: folder of the run; None makes one below runs/.
     """
 
@@ -63,15 +64,19 @@ class DemoOptions:
     model: str | None = None
     hold_out: int = 5
     seed: int = 0
-    stepped: bool = False
-    rate: float = 1.0
+    rate: float | None = None
     steps: int = 20
     predictor: str = "swept_volume"
     evidence: str = "sum"
     window_frames: int = 0
     threshold: float = 0.001
     hold_last_s: float = 6.0
+    markers: bool = False
     out: str | None = None
+
+    @property
+    def stepped(self) -> bool:
+        return self.rate is None
 
 
 def run_demo(options: DemoOptions, console: Console) -> RunSummary:
@@ -152,7 +157,7 @@ def _start_nodes(group: NodeGroup, options: DemoOptions, bag: Path, motion: Moti
         "trajectory": motion.name,
         "seed": options.seed,
         "mode": "stepped" if options.stepped else "real_time",
-        "rate": options.rate,
+        "rate": options.rate or "",
         "period_s": repr(period_s),
         "predictor": options.predictor,
         "threshold": repr(options.threshold),
@@ -165,9 +170,11 @@ def _start_nodes(group: NodeGroup, options: DemoOptions, bag: Path, motion: Moti
         "model": options.model or "",
     }
     # With /clock published, stamps are simulated time; otherwise they are wall time, as on a real robot.
-    simulated_time = options.stepped or options.rate != 1.0
+    simulated_time = options.rate != 1.0
     common: dict[str, ParameterValue] = {"use_sim_time": simulated_time}
-    group.start("run_recorder", {"output": str(folder / "bag"), "run_info": json.dumps(info)})
+    group.start(
+        "run_recorder", {"output": str(folder / "bag"), "run_info": json.dumps(info), "markers": options.markers}
+    )
     group.start("simulated_pr2", {**common, "scene": options.scene})
     group.start(
         "stomp_planner",
@@ -201,7 +208,7 @@ def _start_nodes(group: NodeGroup, options: DemoOptions, bag: Path, motion: Moti
             "library": str(bag),
             "trajectory": motion.name,
             "mode": "stepped" if options.stepped else "real_time",
-            "rate": options.rate,
+            "rate": options.rate or 1.0,
             "hold_last_s": options.hold_last_s,
             "wait_for": ",".join(_PEERS),
             "listener": "occupancy_predictor",

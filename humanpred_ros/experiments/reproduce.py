@@ -51,7 +51,6 @@ def replay_run(folder: Path, out: Path) -> Comparison:
             {
                 "output": str(out),
                 "run_info": json.dumps(dict(info)),
-                "markers": False,
                 "wait_for": f"{_OCCUPANCY},{_DECISION}",
             },
         )

@@ -84,7 +84,7 @@ class SimulatedPr2Settings:
     """Parameters of `simulated_pr2`."""
 
     scene: str = setting("face_to_face", "scene whose start configuration the arm is in")
-    rate_hz: float = setting(100.0, "joint states per second", 1.0, 1000.0)
+    rate_hz: float = setting(50.0, "joint states per second", 1.0, 1000.0)
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class RunRecorderSettings:
         "comma-separated topics that must have a publisher before the recorder calls itself ready",
     )
     run_info: str = setting("{}", "JSON object of facts about the run, stored in the bag as metadata")
-    markers: bool = setting(True, "record the markers too (their publishers are silent otherwise)")
+    markers: bool = setting(False, "record the markers too; their publishers are silent otherwise, which saves time")
 
 
 @dataclass(frozen=True)

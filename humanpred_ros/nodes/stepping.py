@@ -13,7 +13,7 @@ from humanpred_ros.errors import PlanningError, UsageError
 from humanpred_ros.nodes import conversions, qos, topics
 from humanpred_ros.nodes.base import READY, GraphNode
 
-_POLL_PERIOD_S = 0.002
+_POLL_PERIOD_S = 0.004
 
 
 class SteppedSource(GraphNode):

@@ -23,6 +23,8 @@ from humanpred_ros.planning.replanner import MultiGoalReplanner
 from humanpred_ros.robot.scene import load_scene
 
 _WATCH_PERIOD_S = 0.05
+#: Share of a replanning step after which STOMP must stop; the rest is for timing, checking and sending.
+_STOMP_SHARE = 0.75
 
 
 class StompPlannerNode(GraphNode):
@@ -90,12 +92,20 @@ class StompPlannerNode(GraphNode):
         self.publish(decision, stamp_ns, received_s)
 
     def decide(self, occupancy: Occupancy) -> Decision:
-        """Replan when a step is due; a plan that comes too late to be switched to is reported, not sent."""
+        """Replan when a step is due; a plan that comes too late to be switched to is reported, not sent.
+
+        In real time STOMP stops iterating when time runs out, so that an overloaded machine gets a poorer plan
+        rather than none. Stepped runs take the time they need, which makes them the same on every machine.
+        """
         if not self.replanner.due(occupancy.t_s):
             return self.replanner.keep(occupancy)
-        decision = self.replanner.plan(occupancy)
-        if decision.trajectory is not None and not self.settings.lossless and self.now_s() >= decision.t_switch_s:
-            return self.replanner.missed(decision)
+        if self.settings.lossless:
+            decision = self.replanner.plan(occupancy)
+        else:
+            enough_s = occupancy.t_s + _STOMP_SHARE * self.settings.period_s
+            decision = self.replanner.plan(occupancy, lambda: self.now_s() >= enough_s)
+            if decision.trajectory is not None and self.now_s() >= decision.t_switch_s:
+                return self.replanner.missed(decision)
         self.replanner.commit(decision)
         return decision
 

@@ -26,7 +26,7 @@ _TEMPLATE = "report.html.j2"
 #: Facts that are shown in the head of the report; all facts are in its last part.
 _HEAD_FACTS = ("scene", "library", "trajectory", "mode", "predictor", "seed")
 #: Recorded options of `humanpred demo`, as they are spelt on its command line.
-_OPTIONS = ("scene", "library", "trajectory", "predictor", "seed")
+_OPTIONS = ("scene", "library", "trajectory", "predictor", "evidence", "window-frames", "hold-out", "seed")
 
 
 @dataclass(frozen=True)
@@ -130,14 +130,13 @@ def reproduce_command(run: Run) -> str:
     """Return the command that repeats the run, as far as the recorded facts tell."""
     parts = ["humanpred", "demo"]
     for option in _OPTIONS:
-        if run.facts.get(option):
-            parts += [f"--{option}", run.facts[option]]
+        value = run.facts.get(option.replace("-", "_"))
+        if value:
+            parts += [f"--{option}", value]
     if (run.folder / "model.npz").is_file():
         parts += ["--model", str(run.folder / "model.npz")]
-    if run.facts.get("mode") == "stepped":
-        parts.append("--stepped")
-    elif run.facts.get("rate", "1.0") not in ("1.0", "1"):
-        parts += ["--rate", run.facts["rate"]]
+    if run.facts.get("mode") == "real_time":
+        parts += ["--real-time", run.facts.get("rate") or "1.0"]
     return shlex.join(parts)
 
 

@@ -38,7 +38,7 @@ from humanpred_ros.nodes import conversions, topics
 from humanpred_ros.nodes.settings import StompPlannerSettings
 
 LABEL, INDEX = 3, 2
-OPTIONS = DemoOptions(trajectory=f"{LABEL}/{INDEX}", stepped=True, seed=3)
+OPTIONS = DemoOptions(trajectory=f"{LABEL}/{INDEX}", seed=3, markers=True)
 POSTURES = topics.human_joint_states("body_0")
 
 

@@ -121,7 +121,7 @@ def test_the_planner_holds_on_occupancy_it_cannot_use(ros: Callable[..., Any]) -
 
 def test_a_tracker_that_dies_stops_the_arm(tmp_path: Path) -> None:
     with NodeGroup(tmp_path / "logs", free_domain_id()) as group:
-        recorder = {"output": str(tmp_path / "bag"), "markers": False}
+        recorder = {"output": str(tmp_path / "bag")}
         group.start("run_recorder", recorder)
         group.start("simulated_pr2", {"scene": "face_to_face"})
         group.start("stomp_planner", {"scene": "face_to_face", "controller": "simulated_pr2"})
