@@ -6,12 +6,15 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 PACKAGE = "humanpred_ros"
+# `colcon build --symlink-install` runs a link to this file in a folder that holds no README.
+SOURCE = Path(__file__).resolve().parent
 
 
 def data_files(folder: str) -> list[tuple[str, list[str]]]:
     """Return every file below `folder`, to be installed under share/ with its subfolders kept."""
     files = [Path(name) for name in glob(f"{folder}/**", recursive=True) if Path(name).is_file()]
-    return [(f"share/{PACKAGE}/{file.parent}", [str(file)]) for file in sorted(files)]
+    kept = [file for file in sorted(files) if "__pycache__" not in file.parts]
+    return [(f"share/{PACKAGE}/{file.parent}", [str(file)]) for file in kept]
 
 
 NODES = [
@@ -27,7 +30,7 @@ setup(
     name=PACKAGE,
     version="0.1.0",
     description="Early prediction of human reaches and PR2 replanning at a shared table",
-    long_description=Path("README.md").read_text(encoding="utf-8"),
+    long_description=(SOURCE / "README.md").read_text(encoding="utf-8"),
     long_description_content_type="text/markdown",
     author="humanpred_ros developers",
     license="Apache-2.0",

@@ -48,11 +48,13 @@ def locate(name: str, *folder: str, suffix: str = "") -> Path:
     Raises:
         UsageError: neither exists; the message lists the names the package ships.
     """
-    if Path(name).exists():
+    # Path("") is the current folder, which nobody means by an empty name.
+    if name and Path(name).exists():
         return Path(name)
     home = share_file(*folder)
     shipped = home / f"{name}{suffix}"
     if name and shipped.exists():
         return shipped
-    names = ", ".join(sorted(p.name.removesuffix(suffix) for p in home.iterdir() if p.name.endswith(suffix)))
+    fitting = [entry for entry in home.iterdir() if (entry.name.endswith(suffix) if suffix else entry.is_dir())]
+    names = ", ".join(sorted(entry.name.removesuffix(suffix) for entry in fitting))
     raise UsageError(f"{name!r} is neither a path that exists nor a name shipped in {'/'.join(folder)} ({names})")

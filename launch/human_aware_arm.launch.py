@@ -3,62 +3,77 @@
 `ros2 launch humanpred_ros human_aware_arm.launch.py scene:=face_to_face trajectory:=3/2 record:=run_bag`
 """
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
-from launch.conditions import IfCondition
-from launch.event_handlers import OnProcessExit
-from launch.events import Shutdown
-from launch.substitutions import LaunchConfiguration, PythonExpression
+from __future__ import annotations
+
+from typing import Any
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-PACKAGE = "humanpred_ros"
-PEERS = "occupancy_predictor,stomp_planner,simulated_pr2"
+ARGUMENTS = {
+    "scene": ("face_to_face", "scene name in config/scenes, or a YAML file"),
+    "library": ("synthetic_reaches", "motion library: a shipped name, a rosbag2 directory or a CSV folder"),
+    "trajectory": ("0/0", "motion to replay: class/index, or the running number over sorted classes"),
+    "model": ("", "model file made by `humanpred train`; empty trains on the library at start"),
+    "predictor": ("swept_volume", "swept_volume (P1), current or current_accumulated (baselines)"),
+    "record": ("", "folder of the bag, must not exist yet; empty records nothing"),
+}
+# The first start on a machine compiles the planner and trains a model before anybody is ready.
+READY_TIMEOUT_S = 300.0
+
+
+def text(name: str) -> ParameterValue:
+    """Return a launch argument as text, also where it looks like a number (`trajectory:=3`)."""
+    return ParameterValue(LaunchConfiguration(name), value_type=str)
+
+
+def node(executable: str, **parameters: Any) -> Node:
+    """Return a node without which the graph is of no use: when it ends, everything ends."""
+    return Node(
+        package="humanpred_ros",
+        executable=executable,
+        parameters=[parameters],
+        output="screen",
+        on_exit=Shutdown(reason=f"{executable} has ended"),
+    )
+
+
+def graph(context: LaunchContext) -> list[Node]:
+    """Return the nodes; the replay waits for all others, for a recorder only where there is one."""
+    nodes = [
+        node("simulated_pr2", scene=text("scene")),
+        node("stomp_planner", scene=text("scene"), controller="simulated_pr2", listener="skeleton_tracker_replay"),
+        node(
+            "occupancy_predictor",
+            scene=text("scene"),
+            library=text("library"),
+            model=text("model"),
+            predictor=text("predictor"),
+            listener="stomp_planner",
+        ),
+    ]
+    peers = ["simulated_pr2", "stomp_planner", "occupancy_predictor"]
+    if LaunchConfiguration("record").perform(context):
+        nodes.append(node("run_recorder", output=text("record")))
+        peers.append("run_recorder")
+    tracker = node(
+        "skeleton_tracker_replay",
+        library=text("library"),
+        trajectory=text("trajectory"),
+        wait_for=",".join(peers),
+        listener="occupancy_predictor",
+        ready_timeout_s=READY_TIMEOUT_S,
+    )
+    return [*nodes, tracker]
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the five nodes with the arguments that people change."""
+    """Return the arguments that people change, and the graph."""
     arguments = [
-        DeclareLaunchArgument("scene", default_value="face_to_face", description="scene name or YAML file"),
-        DeclareLaunchArgument("library", default_value="synthetic_reaches", description="motion library"),
-        DeclareLaunchArgument("trajectory", default_value="0/0", description="motion to replay, class/index"),
-        DeclareLaunchArgument("model", default_value="", description="trained model; empty trains at start"),
-        DeclareLaunchArgument("predictor", default_value="swept_volume", description="swept_volume or current"),
-        DeclareLaunchArgument("record", default_value="", description="folder of the bag; empty records nothing"),
+        DeclareLaunchArgument(name, default_value=default, description=description)
+        for name, (default, description) in ARGUMENTS.items()
     ]
-
-    def text(name: str) -> ParameterValue:
-        return ParameterValue(LaunchConfiguration(name), value_type=str)
-
-    tracker = Node(
-        package=PACKAGE,
-        executable="skeleton_tracker_replay",
-        parameters=[{"library": text("library"), "trajectory": text("trajectory"), "wait_for": PEERS}],
-    )
-    return LaunchDescription(
-        [
-            *arguments,
-            Node(package=PACKAGE, executable="simulated_pr2", parameters=[{"scene": text("scene")}]),
-            Node(package=PACKAGE, executable="stomp_planner", parameters=[{"scene": text("scene")}]),
-            Node(
-                package=PACKAGE,
-                executable="occupancy_predictor",
-                parameters=[
-                    {
-                        "scene": text("scene"),
-                        "library": text("library"),
-                        "model": text("model"),
-                        "predictor": text("predictor"),
-                    }
-                ],
-            ),
-            Node(
-                package=PACKAGE,
-                executable="run_recorder",
-                parameters=[{"output": text("record")}],
-                condition=IfCondition(PythonExpression(["'", LaunchConfiguration("record"), "' != ''"])),
-            ),
-            tracker,
-            RegisterEventHandler(OnProcessExit(target_action=tracker, on_exit=[EmitEvent(event=Shutdown())])),
-        ]
-    )
+    return LaunchDescription([*arguments, OpaqueFunction(function=graph)])
