@@ -11,10 +11,11 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from humanpred_ros.errors import HumanPredError
+from humanpred_ros.errors import HumanPredError, UsageError
 from humanpred_ros.nodes import qos, topics
 
 READY = "ready"
@@ -99,6 +100,12 @@ def run_node(make_node: Callable[[], GraphNode], arguments: list[str] | None = N
         pass
     except HumanPredError as error:
         failure = error
+    except rclpy_implementation.RCLError:
+        # A signal shuts ROS down at once; a callback that was about to publish then finds no publisher.
+        if rclpy.ok():
+            raise
+    except rclpy_implementation.UnknownROSArgsError as error:
+        failure = UsageError(f"after --ros-args: wanted parameters as -p name:=value, got {error}")
     finally:
         # A second Ctrl-C must not interrupt what close() saves.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
