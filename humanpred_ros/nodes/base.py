@@ -6,20 +6,24 @@ import signal
 import sys
 from collections import Counter
 from collections.abc import Callable
+from types import FrameType
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException
-from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.exceptions import NameValidationException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from humanpred_ros.errors import HumanPredError, UsageError
 from humanpred_ros.nodes import qos, topics
 
 READY = "ready"
 _STATUS_PERIOD_S = 0.2
+_SIGNAL_PERIOD_S = 0.1
 
 
 class GraphNode(Node):
@@ -85,27 +89,47 @@ class GraphNode(Node):
         """Release what must not be lost when the process ends; called once, whatever ended it."""
 
 
+class _Signals:
+    """Lets SIGINT and SIGTERM end the spinning between two callbacks.
+
+    rclpy's own handlers end the context under a running callback, whose next publish then fails.
+    """
+
+    def __init__(self) -> None:
+        self.came = False
+        self.spinning = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        self.came = True
+        if not self.spinning:  # still loading, training or compiling: nothing to save yet
+            raise KeyboardInterrupt
+
+
 def run_node(make_node: Callable[[], GraphNode], arguments: list[str] | None = None) -> int:
     """Spin the node until a signal or its own end; return the process's exit status.
 
-    Status 0 after a signal or a finished job, 2 with one line on stderr for a HumanPredError.
+    Status 0 after a signal or a finished job, 2 with one line on stderr for a HumanPredError and for
+    arguments that cannot be used.
     """
     node: GraphNode | None = None
     failure: HumanPredError | None = None
+    signals = _Signals()
     try:
-        rclpy.init(args=arguments)
+        _initialise(sys.argv if arguments is None else arguments)
         node = make_node()
-        rclpy.spin(node)
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        signals.spinning = True
+        while rclpy.ok() and not signals.came:
+            executor.spin_once(timeout_sec=_SIGNAL_PERIOD_S)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except HumanPredError as error:
         failure = error
-    except rclpy_implementation.RCLError:
-        # A signal shuts ROS down at once; a callback that was about to publish then finds no publisher.
-        if rclpy.ok():
-            raise
-    except rclpy_implementation.UnknownROSArgsError as error:
-        failure = UsageError(f"after --ros-args: wanted parameters as -p name:=value, got {error}")
+    except NameValidationException as error:
+        failure = UsageError(str(error))
     finally:
         # A second Ctrl-C must not interrupt what close() saves.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -115,6 +139,19 @@ def run_node(make_node: Callable[[], GraphNode], arguments: list[str] | None = N
             node.destroy_node()
         rclpy.try_shutdown()
     if failure is not None:
-        print(f"{sys.argv[0]}: {failure}", file=sys.stderr)
+        print(f"{sys.argv[0]}: {' '.join(str(failure).split())}", file=sys.stderr)
         return 2
     return 0
+
+
+def _initialise(arguments: list[str]) -> None:
+    """Start rclpy, with one-line errors for arguments it cannot read, or that nobody would read."""
+    try:
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as trouble:  # the common base of rclpy's several errors about arguments
+        raise UsageError(
+            f"ROS arguments: {trouble}; write --ros-args -p NAME:=VALUE or --params-file FILE"
+        ) from trouble
+    unread = remove_ros_args(arguments)[1:]
+    if unread:
+        raise UsageError(f"arguments: got {' '.join(unread)}; parameters are given as --ros-args -p NAME:=VALUE")

@@ -42,7 +42,7 @@ class OccupancyReplay(SteppedSource):
         self.arm_timer = self.create_timer(
             0.1, lambda: self.arm_publisher.publish(self.arm), clock=self._status_timer.clock
         )
-        self.wait_for_graph(stepped=True, clock=True, peers=settings.wait_for, patience_s=(60.0, 30.0))
+        self.wait_for_graph(stepped=True, clock=True, peers=settings.wait_for, patience_s=(180.0, 30.0))
 
     def waiting_for(self) -> str:
         return super().waiting_for() or self.unmatched(self.publisher, "stomp_planner")

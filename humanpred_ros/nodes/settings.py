@@ -34,7 +34,7 @@ class SkeletonTrackerReplaySettings:
     hold_last_s: float = setting(4.0, "seconds the last posture is repeated after the motion's end", 0.0, 600.0)
     wait_for: str = setting("", "comma-separated nodes whose /diagnostics must say ready before the replay starts")
     listener: str = setting("", "node that must be listening to the postures before the replay starts")
-    ready_timeout_s: float = setting(60.0, "longest wait for those nodes", 0.1, 600.0)
+    ready_timeout_s: float = setting(180.0, "longest wait for those nodes", 0.1, 600.0)
     decision_timeout_s: float = setting(30.0, "longest wait for one decision in stepped mode", 0.1, 600.0)
     publish_clock: bool = setting(False, "publish /clock; always on in stepped mode")
 

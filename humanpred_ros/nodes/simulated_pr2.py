@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
@@ -12,9 +13,12 @@ from humanpred_ros.nodes import conversions, qos, topics
 from humanpred_ros.nodes.base import GraphNode, run_node
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.nodes.settings import SimulatedPr2Settings
-from humanpred_ros.planning.trajectory import TimedTrajectory
+from humanpred_ros.planning.schedule import Schedule
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
 from humanpred_ros.robot.scene import load_scene
+
+#: Before any trajectory: the arm has always rested.
+_LONG_AGO_S = -1e9
 
 
 class SimulatedPr2(GraphNode):
@@ -28,12 +32,17 @@ class SimulatedPr2(GraphNode):
         settings = declare(self, SimulatedPr2Settings)
         self.rest_q = load_scene(settings.scene).start
         self.origin_ns: int | None = None
-        self.active: TimedTrajectory | None = None
-        self.next: TimedTrajectory | None = None
+        self.schedule = Schedule(self.rest_q, _LONG_AGO_S)
         # Made first, so that a trajectory and a clock tick that wait together are taken in this order.
         self.create_subscription(JointTrajectory, topics.TRAJECTORY, self.on_trajectory, qos.COMMAND)
         self.publisher = self.create_publisher(JointState, topics.JOINT_STATES, qos.SENSOR_PUBLISHER)
-        self.create_timer(1.0 / settings.rate_hz, self.publish_state)
+        self.period_ns = round(conversions.NS_PER_S / settings.rate_hz)
+        self.last_ns = -self.period_ns
+        if self.get_parameter("use_sim_time").value:
+            # A timer would skip ticks that come close together in wall time; every one matters in a stepped run.
+            self.create_subscription(Clock, topics.CLOCK, self.on_clock, qos.LOSSLESS)
+        else:
+            self.create_timer(1.0 / settings.rate_hz, self.publish_now)
         # Before /clock ticks (it may wait for us), the start configuration must already be known.
         self.startup_timer = self.create_timer(0.1, self.publish_start, clock=self._status_timer.clock)
 
@@ -45,7 +54,8 @@ class SimulatedPr2(GraphNode):
         if self.origin_ns is None:
             self.origin_ns = conversions.stamp_ns(message.header.stamp)
         try:
-            self.next = conversions.trajectory_from_message(message, RIGHT_ARM_JOINTS, self.origin_ns)
+            trajectory = conversions.trajectory_from_message(message, RIGHT_ARM_JOINTS, self.origin_ns)
+            self.schedule.add(trajectory.start_s, trajectory)
         except PlanningError as error:
             self.refuse(str(error))
 
@@ -54,18 +64,24 @@ class SimulatedPr2(GraphNode):
         if self.origin_ns is not None:
             self.startup_timer.cancel()
             return
-        self.publish_state()
+        self.publish_now()
 
-    def publish_state(self) -> None:
-        """Publish where the arm is now."""
-        now_ns = self.get_clock().now().nanoseconds
+    def on_clock(self, message: Clock) -> None:
+        """Publish at every tick of simulated time, but no more often than asked; a clock set back starts anew."""
+        now_ns = conversions.stamp_ns(message.clock)
+        if not 0 <= now_ns - self.last_ns < self.period_ns:
+            self.last_ns = now_ns
+            self.publish_state(now_ns)
+
+    def publish_now(self) -> None:
+        """Publish where the arm is at the node's own time."""
+        self.publish_state(self.get_clock().now().nanoseconds)
+
+    def publish_state(self, now_ns: int) -> None:
+        """Publish where the arm is at `now_ns`."""
         q, v = self.rest_q, None
         if self.origin_ns is not None:
-            t_s = (now_ns - self.origin_ns) * 1e-9
-            if self.next is not None and t_s >= self.next.t_s[0]:
-                self.active, self.next = self.next, None
-            if self.active is not None:
-                q, v, _ = self.active.sample(t_s)
+            q, v, _ = self.schedule.state_at((now_ns - self.origin_ns) * 1e-9)
         self.publisher.publish(conversions.joint_state(RIGHT_ARM_JOINTS, q, now_ns, v=v))
 
 

@@ -97,6 +97,8 @@ class ReplanningStep:
         if now.arrived and now.chosen is not None:
             path = np.repeat(self._q[None], self._tools.config.stomp.n_waypoints, axis=0)
             report = self._report(now.chosen, self._planner.assess(path), "arrived")
+            if now.executing.end_s > now.stamp_s:
+                return self._decision(KEEP, f"about to arrive at {now.chosen}", now.chosen, (report,))
             return self._decision(ARRIVED, f"at {now.chosen}", now.chosen, (report,))
         planned = self._plan_all()
         reports = tuple(report for report, _ in planned)

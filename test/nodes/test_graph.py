@@ -133,10 +133,14 @@ def test_trajectories_keep_limits_times_and_continuity(bag: BagReader) -> None:
         executing = trajectory
     goals = np.array([goal.configuration for goal in scene.goals])
     assert np.abs(goals - executing.q[-1]).max(axis=1).min() < 1e-6  # type: ignore[union-attr]
-    # The simulated arm was where it was told to be.
-    for stamp, state in list(by_stamp(bag, topics.JOINT_STATES).items())[-5:]:
+    # The simulated arm was where it was told to be, at every posture from the start on.
+    states = by_stamp(bag, topics.JOINT_STATES)
+    assert set(by_stamp(bag, POSTURES)) <= states.keys()
+    for stamp, state in list(states.items())[-5:]:
         told = executing.sample((stamp - origin_ns) * 1e-9)[0]  # type: ignore[union-attr]
         np.testing.assert_allclose(state.position, told, atol=1e-6)
+    # "arrived" was said only once it had.
+    assert np.abs(goals - np.asarray(list(states.values())[-1].position)).max(axis=1).min() < 1e-6
 
 
 def test_the_bag_is_complete_for_other_readers(run: Path) -> None:
