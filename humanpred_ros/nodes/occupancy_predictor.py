@@ -19,6 +19,7 @@ from humanpred_ros.nodes.settings import OccupancyPredictorSettings
 from humanpred_ros.occupancy.factory import make_predictor, needs_model
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.model_file import load_model
+from humanpred_ros.recognition.registry import make_classifier
 from humanpred_ros.recognition.training import TrainedModel, train_model
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import load_scene
@@ -40,8 +41,10 @@ class OccupancyPredictorNode(GraphNode):
         scene = load_scene(settings.scene)
         self.human = HumanModel.kinect12()
         learned = needs_model(settings.predictor)
-        model = self._model() if learned else None
         online = {"evidence": settings.evidence, "window_frames": settings.window_frames or None} if learned else {}
+        # Named wrongly, these should not cost a training first.
+        make_classifier(settings.classifier, GmmConfig(**online))
+        model = self._model() if learned else None
         self.predictor = make_predictor(
             settings.predictor,
             model,

@@ -40,8 +40,8 @@ class RunRecorder(GraphNode):
             info = json.loads(settings.run_info)
         except json.JSONDecodeError as error:
             raise UsageError(f"parameter run_info: wanted a JSON object; {error}") from error
-        self.writer = BagWriter(settings.output)
-        self.writer.add_metadata("run", {key: str(value) for key, value in info.items()})
+        if not isinstance(info, dict):
+            raise UsageError(f"parameter run_info: wanted a JSON object, got {settings.run_info}")
         body = settings.body_id
         recorded: list[tuple[str, Any, Any]] = [
             (topics.human_joint_states(body), JointState, qos.LOSSLESS),
@@ -61,11 +61,13 @@ class RunRecorder(GraphNode):
                 (topics.OCCUPANCY_MARKERS, MarkerArray, qos.LOSSLESS),
                 (topics.CANDIDATES, MarkerArray, qos.LOSSLESS),
             ]
-        self.inputs = {topic: self._record(topic, kind, profile) for topic, kind, profile in recorded}
         self.wanted = [topic for topic in settings.wait_for.replace("<id>", body).split(",") if topic]
-        unknown = [topic for topic in self.wanted if topic not in self.inputs]
+        unknown = [topic for topic in self.wanted if topic not in {name for name, _, _ in recorded}]
         if unknown:
             raise UsageError(f"parameter wait_for: wanted recorded topics, got {', '.join(unknown)}")
+        self.writer = BagWriter(settings.output)
+        self.writer.add_metadata("run", {key: str(value) for key, value in info.items()})
+        self.inputs = {topic: self._record(topic, kind, profile) for topic, kind, profile in recorded}
         self.create_timer(_FLUSH_PERIOD_S, self.writer.flush, clock=self._status_timer.clock)
 
     def _record(self, topic: str, kind: Any, profile: Any) -> Any:
