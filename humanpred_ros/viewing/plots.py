@@ -50,7 +50,7 @@ def draw_plots(
         (
             "posterior",
             "What the human is believed to do",
-            "Probability of each class of reach given the part of the motion seen so far (P1 eq. 2).",
+            "Probability of each class of reach given the part of the motion seen so far.",
             lambda: posterior_plot(run, summary, colours),
         ),
         (
