@@ -76,15 +76,37 @@ def fit_class_mixtures(library: MotionLibrary, config: GmmConfig) -> ClassMixtur
             move, or too little data for the number of components.
     """
     check_trainable(library)
-    mixtures = []
-    for label in library.labels:
-        motions = library.of_class(label)
-        samples = np.vstack([training_samples(m, config) for m in motions])
-        rng = np.random.default_rng([config.seed, label % 2**64])  # a seed sequence takes no negative labels
-        try:
-            mixtures.append(fit_mixture(samples, config.mixture, rng))
-        except LibraryFormatError as trouble:
-            raise LibraryFormatError(f"library {library.name}, class {label}: {trouble}") from trouble
+    return _class_mixtures(library, [_fit_class(library, label, config) for label in library.labels])
+
+
+def refit_class_mixtures(
+    classes: ClassMixtures, library: MotionLibrary, label: int, config: GmmConfig
+) -> ClassMixtures:
+    """Return what `fit_class_mixtures` would, for a library that differs in one class from the one of `classes`.
+
+    Raises:
+        LibraryFormatError: as `fit_class_mixtures`, and if the library has other classes than `classes`.
+    """
+    check_trainable(library)
+    if library.labels != classes.labels:
+        raise LibraryFormatError(
+            f"library {library.name}: wanted the classes {classes.labels} that were learned before, "
+            f"got {library.labels}; fit anew"
+        )
+    kept = zip(classes.labels, classes.mixtures, strict=True)
+    return _class_mixtures(library, [_fit_class(library, m, config) if m == label else old for m, old in kept])
+
+
+def _fit_class(library: MotionLibrary, label: int, config: GmmConfig) -> GaussianMixture:
+    samples = np.vstack([training_samples(motion, config) for motion in library.of_class(label)])
+    rng = np.random.default_rng([config.seed, label % 2**64])  # a seed sequence takes no negative labels
+    try:
+        return fit_mixture(samples, config.mixture, rng)
+    except LibraryFormatError as trouble:
+        raise LibraryFormatError(f"library {library.name}, class {label}: {trouble}") from trouble
+
+
+def _class_mixtures(library: MotionLibrary, mixtures: list[GaussianMixture]) -> ClassMixtures:
     return ClassMixtures(
         library.labels,
         tuple(mixtures),

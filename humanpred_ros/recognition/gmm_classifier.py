@@ -11,7 +11,7 @@ from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import ArrayError, MotionError, UsageError
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.resampling import is_angle, unwrap_angles
-from humanpred_ros.recognition.class_mixtures import ClassMixtures, fit_class_mixtures
+from humanpred_ros.recognition.class_mixtures import ClassMixtures, fit_class_mixtures, refit_class_mixtures
 from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.mixture_bank import MixtureBank
@@ -59,6 +59,14 @@ class GmmClassifier(IntentClassifier):
         """Learn one mixture per class; return self. Raises LibraryFormatError if the library does not suffice."""
         self._take(fit_class_mixtures(library, self.config))
         return self
+
+    def fit_without(self, library: MotionLibrary, name: str) -> GmmClassifier:
+        """Return a classifier learned from `library` without one motion; only that motion's class is learned anew."""
+        label = library.find(name).label
+        rest = library.select(lambda motion: motion.name != name)
+        if label is None:
+            return GmmClassifier(self.config).fit(rest)
+        return GmmClassifier(self.config, refit_class_mixtures(self._fitted(), rest, label, self.config))
 
     @property
     def nominal_duration_s(self) -> float:

@@ -36,6 +36,9 @@ class Told(IntentClassifier):
     def fit(self, library: MotionLibrary) -> Told:
         return self
 
+    def fit_without(self, library: MotionLibrary, name: str) -> Told:
+        return self
+
     def start(self) -> None:
         self.started += 1
 

@@ -23,3 +23,12 @@ def test_best_and_each_class_by_label() -> None:
 def test_what_is_no_distribution_is_refused(probability: list[float]) -> None:
     with pytest.raises(ArrayError):
         ClassPosterior((4, 7, 9), np.array(probability), np.zeros(3), 0.0, 1)
+
+
+def test_the_probability_of_no_class_is_part_of_the_whole() -> None:
+    result = ClassPosterior((4, 7, 9), np.array([0.1, 0.3, 0.1]), np.zeros(3), 0.0, 1, unknown=0.5)
+    np.testing.assert_allclose(result.given_known, [0.2, 0.6, 0.2])
+    with pytest.raises(ArrayError, match="sum"):
+        ClassPosterior((4, 7, 9), np.array([0.2, 0.7, 0.1]), np.zeros(3), 0.0, 1, unknown=0.5)
+    with pytest.raises(ArrayError, match="no class"):
+        ClassPosterior((4, 7, 9), np.zeros(3), np.zeros(3), 0.0, 1, unknown=1.0)

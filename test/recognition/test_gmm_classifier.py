@@ -268,3 +268,14 @@ def test_recognition_rate_of_the_paper() -> None:
     assert right[4] < 0.35
     assert right[59] == pytest.approx(0.84, abs=0.09)
     assert right[99] == pytest.approx(0.92, abs=0.09)
+
+
+def test_leaving_one_motion_out_equals_learning_without_it() -> None:
+    library, config = small_library(3, 4, 60), GmmConfig(n_components=4, max_iterations=20)
+    whole = GmmClassifier(config).fit(library)
+    anew = GmmClassifier(config).fit(library.select(lambda motion: motion.name != "10/2"))
+    without = whole.fit_without(library, "10/2")
+    np.testing.assert_array_equal(without.posteriors(unseen()), anew.posteriors(unseen()))
+    assert classes_of(whole).motions_per_class == (4, 4, 4)
+    assert classes_of(without).motions_per_class == (4, 3, 4)
+    assert classes_of(without).mixtures[0] is classes_of(whole).mixtures[0]
