@@ -12,7 +12,7 @@ ORDER = (
     "recording", "human", "motion", "recognition", "occupancy", "robot", "planning", "reaching",
     "viewing", "experiments", "nodes", "cli",
 )  # fmt: skip
-SHARED = {"errors", "checks", "resources", "__version__"}
+SHARED = {"errors", "checks", "compiled", "resources", "__version__"}
 ROS_MODULES = {
     "rclpy", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "rcl_interfaces", "rosgraph_msgs",
     "sensor_msgs", "std_msgs", "trajectory_msgs", "visualization_msgs",

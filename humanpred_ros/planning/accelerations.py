@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.planning.compiled import fast
+from humanpred_ros.compiled import fast
 
 # The 5-point rule of the second derivative (facts section 4).
 _A, _B, _C = (np.float32(c) for c in (-1 / 12, 16 / 12, -30 / 12))

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.planning.compiled import fast, fast_inline
+from humanpred_ros.compiled import fast, fast_inline
 
 Scalar: TypeAlias = Any
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.planning.compiled import exact
+from humanpred_ros.compiled import exact
 
 _TINY = 1e-12
 

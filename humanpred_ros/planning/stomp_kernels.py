@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from humanpred_ros.planning.compiled import fast
+from humanpred_ros.compiled import fast
 
 #: Normal quantiles at the middle of 65536 equal probabilities: 16 random bits make one draw. The largest is
 #: 4.2 standard deviations, and their variance is 1 to within 1e-4.

@@ -1,4 +1,4 @@
-"""How the planner's inner loops are compiled: one place for numba's options, with types that mypy understands."""
+"""How inner loops are compiled: one place for numba's options, with types that mypy understands."""
 
 from __future__ import annotations
 
