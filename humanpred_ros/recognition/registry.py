@@ -4,22 +4,32 @@ from __future__ import annotations
 
 from humanpred_ros.errors import UsageError
 from humanpred_ros.recognition.classifier import IntentClassifier
+from humanpred_ros.recognition.forest_classifier import ForestClassifier
+from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.gmm_classifier import GmmClassifier
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.training import TrainedModel
 
-#: Names users know the classifiers by.
-CLASSIFIERS = {"gmm": "P1: a Gaussian mixture per class over phase and posture"}
+#: Names users know the classifiers by; the default first.
+CLASSIFIERS = {
+    "forest": "calibrated trees over features of the reach that know no time, with a probability of no class",
+    "gmm": "P1: a Gaussian mixture per class over phase and posture",
+}
+DEFAULT_CLASSIFIER = "forest"
 
 
-def make_classifier(name: str, config: GmmConfig | None = None) -> IntentClassifier:
-    """Return a classifier by name, to be fitted.
+def make_classifier(name: str, config: ForestConfig | GmmConfig | None = None) -> IntentClassifier:
+    """Return a classifier by name, to be fitted, with its own kind of settings or the default ones.
 
     Raises:
-        UsageError: unknown name, with the valid ones.
+        UsageError: unknown name, with the valid ones, or settings of another classifier.
     """
     _check(name)
-    return GmmClassifier(config)
+    if name == "forest" and (config is None or isinstance(config, ForestConfig)):
+        return ForestClassifier(config)
+    if name == "gmm" and (config is None or isinstance(config, GmmConfig)):
+        return GmmClassifier(config)
+    raise UsageError(f"classifier {name}: wanted its own settings, got {type(config).__name__}")
 
 
 def trained_classifier(name: str, model: TrainedModel, **online: object) -> IntentClassifier:

@@ -1,0 +1,147 @@
+"""Extremely randomised trees (Geurts, Ernst and Wehenkel 2006), each grown on some of the library's motions.
+
+scikit-learn grows them; what it grew is kept as plain arrays, which a compiled loop reads in microseconds and a model
+file can hold. Motions, not postures, are drawn: the postures of one motion resemble each other, so only a tree that has
+seen no posture of a motion can tell how well the forest does on motions it does not know.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.compiled import exact
+from humanpred_ros.recognition.forest_config import ForestConfig
+from humanpred_ros.recognition.reach_features import Float32Array
+
+IntArray = NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """One tree of N nodes; the root is node 0.
+
+    Attributes:
+        feature: (N,) which feature a node asks for; -1 for a leaf.
+        threshold: (N,) left if the feature is at most this.
+        left, right: (N,) numbers of the nodes below.
+        share: (N, C) share of each class among the training postures that came to a node.
+    """
+
+    feature: IntArray
+    threshold: FloatArray
+    left: IntArray
+    right: IntArray
+    share: Float32Array
+
+
+@dataclass(frozen=True, eq=False)
+class Forest:
+    """B trees in one set of arrays, nodes numbered through.
+
+    Attributes:
+        first: (B + 1,) where each tree's nodes begin; the first of them is its root.
+        feature, threshold, left, right, share: of all nodes, as in `Tree`.
+    """
+
+    first: IntArray
+    feature: IntArray
+    threshold: FloatArray
+    left: IntArray
+    right: IntArray
+    share: Float32Array
+
+    @classmethod
+    def of_trees(cls, trees: list[Tree]) -> Forest:
+        """Join trees."""
+        first = np.concatenate([[0], np.cumsum([len(tree.feature) for tree in trees])]).astype(np.int32)
+        shift = np.repeat(first[:-1], np.diff(first))
+        return cls(
+            first,
+            np.concatenate([tree.feature for tree in trees]),
+            np.concatenate([tree.threshold for tree in trees]),
+            np.concatenate([tree.left for tree in trees]) + shift,
+            np.concatenate([tree.right for tree in trees]) + shift,
+            np.concatenate([tree.share for tree in trees]),
+        )
+
+    @property
+    def n_trees(self) -> int:
+        """B."""
+        return len(self.first) - 1
+
+    def leaves(self, x: Float32Array) -> IntArray:
+        """Return (M, B) the leaf each of the samples (M, F) falls into, per tree."""
+        out = np.empty((len(x), self.n_trees), dtype=np.int32)
+        _find_leaves(x, self.first, self.feature, self.threshold, self.left, self.right, out)
+        return out
+
+    def vote(self, leaves: IntArray, counts: NDArray[np.bool_] | None = None) -> FloatArray:
+        """Return (M, C) the mean class shares of the leaves (M, B); with `counts` (M, B), of those trees only.
+
+        A sample that no tree counts for gets equal shares.
+        """
+        return _mean_shares(leaves, np.ones((1, 1), dtype=np.bool_) if counts is None else counts, self.share)
+
+
+def grow_tree(x: Float32Array, label: NDArray[np.intp], n_classes: int, seed: int, config: ForestConfig) -> Tree:
+    """Return a tree grown on samples (M, F) of the classes `label` (M,), numbered from 0 to `n_classes` - 1.
+
+    The same samples and seed give the same tree.
+    """
+    from sklearn.tree import ExtraTreeClassifier  # takes half a second to import; only training needs it
+
+    grown = ExtraTreeClassifier(
+        min_samples_leaf=config.min_samples_leaf, max_features="sqrt", random_state=seed
+    ).fit(x, label)
+    nodes = grown.tree_
+    share = np.zeros((nodes.node_count, n_classes), dtype=np.float32)
+    value = nodes.value[:, 0, :]  # counts or shares, depending on the release
+    share[:, grown.classes_] = value / value.sum(axis=1, keepdims=True)
+    leaf = nodes.children_left < 0
+    return Tree(
+        np.where(leaf, -1, nodes.feature).astype(np.int32),
+        np.array(nodes.threshold, dtype=np.float64),
+        np.where(leaf, 0, nodes.children_left).astype(np.int32),
+        np.where(leaf, 0, nodes.children_right).astype(np.int32),
+        share,
+    )
+
+
+@exact
+def _find_leaves(
+    x: Float32Array,
+    first: IntArray,
+    feature: IntArray,
+    threshold: FloatArray,
+    left: IntArray,
+    right: IntArray,
+    out: IntArray,
+) -> None:
+    # Tree by tree, so that one tree's nodes stay in the cache while all samples pass.
+    for tree in range(len(first) - 1):
+        for m in range(len(x)):
+            node = first[tree]
+            while feature[node] >= 0:
+                node = left[node] if x[m, feature[node]] <= threshold[node] else right[node]
+            out[m, tree] = node
+
+
+@exact
+def _mean_shares(leaves: IntArray, counts: NDArray[np.bool_], share: Float32Array) -> FloatArray:
+    """Return (M, C) mean shares of leaves (M, B) over the trees that count (M, B), or over all for (1, 1)."""
+    (n, n_trees), n_classes = leaves.shape, share.shape[1]
+    mean = np.zeros((n, n_classes))
+    for m in range(n):
+        n_votes = 0
+        for tree in range(n_trees):
+            if counts.size == 1 or counts[m, tree]:
+                n_votes += 1
+                for c in range(n_classes):
+                    mean[m, c] += share[leaves[m, tree], c]
+        for c in range(n_classes):
+            mean[m, c] = mean[m, c] / n_votes if n_votes else 1.0 / n_classes
+    return mean

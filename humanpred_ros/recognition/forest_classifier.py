@@ -1,0 +1,124 @@
+"""The default classifier: a calibrated forest over features of the reach, which knows what it has not learned."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from humanpred_ros.checks import FloatArray, checked
+from humanpred_ros.errors import MotionError, UsageError
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.motion import MotionLibrary
+from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
+from humanpred_ros.recognition.forest_config import ForestConfig
+from humanpred_ros.recognition.forest_model import PELVIS, ForestModel, fit_forest, refit_without
+from humanpred_ros.recognition.reach_features import (
+    N_FEATURES,
+    REACHED,
+    ReachState,
+    advance,
+    in_library_frame,
+    point_links,
+)
+from humanpred_ros.recognition.standing_place import PlaceTracker
+
+__all__ = ["ForestClassifier", "ForestConfig"]
+
+
+class ForestClassifier(IntentClassifier):
+    """P(class | the reach so far) and P(no class | the reach so far).
+
+    Each posture's features (`reach_features`), brought to where the library's people stood (`standing_place`), fall
+    through randomised trees (`forest`); what these vote is made a probability (`calibration`); and their distance from
+    the library says how probable it is that the reach is of no class at all (`novelty`). Stamps are checked, not
+    used: the same postures at another speed get the same answers.
+
+    Attributes:
+        config: the settings.
+        human: whose postures come.
+        model: what was learned, None before `fit`.
+    """
+
+    def __init__(
+        self, config: ForestConfig | None = None, human: HumanModel | None = None, model: ForestModel | None = None
+    ) -> None:
+        """Make a classifier to fit, or, with `model`, one that is ready for use; the human is P1's by default.
+
+        Raises:
+            HumanModelError: a human without the links that are followed.
+        """
+        self.config = (ForestConfig() if model is None else model.config) if config is None else config
+        self.human = HumanModel.kinect12() if human is None else human
+        self.model: ForestModel | None = None
+        self._links = point_links(self.human)
+        self._pelvis = self.human.link_names.index(PELVIS)
+        if model is not None:
+            self._take(model)
+
+    def fit(self, library: MotionLibrary) -> ForestClassifier:
+        """Learn; return self. Raises LibraryFormatError if the library does not suffice."""
+        self._take(fit_forest(library, self.human, self.config))
+        return self
+
+    def fit_without(self, library: MotionLibrary, name: str) -> ForestClassifier:
+        """Return a classifier learned without one motion; only trees that had seen it are grown anew."""
+        return ForestClassifier(self.config, self.human, refit_without(self._fitted(), name))
+
+    def start(self) -> None:
+        """Forget the reach that was observed; where the person stands is remembered."""
+        self._state = ReachState.fresh()
+        self._last_s = -math.inf
+        self._place.start()
+
+    def update(self, q: FloatArray, t_s: float) -> ClassPosterior:
+        """Take one posture (D,) stamped `t_s` and return the posterior over the classes, and of no class.
+
+        Raises:
+            ArrayError: posture of the wrong shape or not finite.
+            MotionError: a stamp that is not finite or not later than the one before.
+            UsageError: nothing was learned yet.
+        """
+        model = self._fitted()
+        q = checked("posture", q, (len(self.human.dof_names),))
+        if not math.isfinite(t_s) or t_s <= self._last_s:
+            later = "" if self._last_s == -math.inf else f" later than {self._last_s} s"
+            raise MotionError(
+                f"classifier: wanted a finite stamp{later}, got {t_s} s; call start() when a new motion begins"
+            )
+        poses = self.human.link_poses(q)
+        self._last_s = t_s
+        self._place.update(poses[self._pelvis])
+        advance(self._state, np.ascontiguousarray(poses[self._links][:, :3, 3]), self._features[0])
+        x = in_library_frame(self._features, self._place.R, self._place.p)
+        votes = model.forest.vote(model.forest.leaves(x))
+        given_known = model.calibration(votes, x[:, REACHED].astype(np.float64))[0]
+        log_odds = float(model.novelty.log_ratio(x)[0]) + self._prior_log_odds
+        # Never quite sure of it, so that the classes' shares stay defined.
+        unknown = 1.0 / (1.0 + math.exp(-min(max(log_odds, -20.0), 20.0)))
+        return ClassPosterior(
+            model.labels,
+            given_known * (1.0 - unknown) / given_known.sum(),
+            np.log(given_known),
+            t_s,
+            int(self._state.n_seen[0]),
+            unknown,
+        )
+
+    @property
+    def elsewhere(self) -> bool:
+        """Whether the person does not stand where the library was recorded, so that postures are moved there."""
+        return self._place.elsewhere
+
+    def _take(self, model: ForestModel) -> None:
+        self.model = model
+        self._place = PlaceTracker(model.place)
+        self._features = np.zeros((1, N_FEATURES))
+        prior = model.config.unknown_prior
+        self._prior_log_odds = math.log(prior / (1.0 - prior))
+        self.start()
+
+    def _fitted(self) -> ForestModel:
+        if self.model is None:
+            raise UsageError("classifier: wanted one that has learned, got a new one; call fit(library) first")
+        return self.model

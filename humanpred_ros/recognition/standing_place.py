@@ -1,0 +1,126 @@
+"""A library recorded at one place serves a person who stands at another: where is this person, seen from the library?
+
+People at one place never stand twice in quite the same way, and the places they reach for do not move with them. So a
+person who starts within the spread of the library's own starts is taken to stand where the library was recorded;
+only one who clearly does not is moved there, rigidly on the floor. Several motions from one place make that
+estimate better, because nobody's stance shows within a few centimetres and degrees where he stands.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from humanpred_ros.checks import FloatArray, checked, frozen
+from humanpred_ros.errors import ArrayError
+
+#: Start postures whose median says where a motion began.
+_N_START = 5
+#: Motions remembered from one place.
+_N_MEMORY = 30
+#: A spread below this says more about the library's size than about people: metres, metres, radians.
+_LEAST_SPREAD = (0.02, 0.02, 0.04)
+
+
+@dataclass(frozen=True, eq=False)
+class StandingPlace:
+    """Where a library's motions start.
+
+    Attributes:
+        pose: (3,) typical x, y (m) and yaw (rad) of the pelvis at the start, library frame.
+        spread: (3,) their standard deviations, from medians, so that mistracked motions do not count.
+        limit: how many spreads away a start is still of this place. Four: of 1000 motions from the library's
+            place, one or none would be moved.
+    """
+
+    pose: FloatArray
+    spread: FloatArray
+    limit: float = 4.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pose", frozen(checked("standing place", self.pose, (3,))))
+        object.__setattr__(self, "spread", frozen(checked("spread of starts", self.spread, (3,))))
+        if (self.spread <= 0).any() or not self.limit > 0:
+            raise ArrayError(f"standing place: wanted positive spreads and limit, got {self.spread} and {self.limit}")
+
+    @classmethod
+    def of_starts(cls, poses: FloatArray) -> StandingPlace:
+        """Return the place of motions that start with the pelvis at (M, 3) x, y, yaw."""
+        poses = checked("start poses", poses, ("M", 3))
+        typical = np.append(np.median(poses[:, :2], axis=0), np.angle(np.exp(1j * poses[:, 2]).sum()))
+        typical[2] += np.median(_wrapped(poses[:, 2] - typical[2]))
+        # 1.4826: a normal distribution's standard deviation per median absolute deviation.
+        deviation = np.column_stack([poses[:, :2] - typical[:2], _wrapped(poses[:, 2] - typical[2])])
+        return cls(typical, np.maximum(1.4826 * np.median(np.abs(deviation), axis=0), _LEAST_SPREAD))
+
+    def holds(self, pose: FloatArray, other: FloatArray | None = None) -> bool:
+        """Return whether somebody at `pose` (3,) stands at `other` (3,), by default at this place itself."""
+        away = pose - (self.pose if other is None else other)
+        away[2] = _wrapped(away[2])
+        return bool((np.abs(away) <= self.limit * self.spread).all())
+
+    def alignment(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return rotation (3, 3) and translation (3,) that bring a person standing at `pose` to this place."""
+        turn = self.pose[2] - pose[2]
+        c, s = np.cos(turn), np.sin(turn)
+        R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return R, np.append(self.pose[:2], 0.0) - R @ np.append(pose[:2], 0.0)
+
+
+class PlaceTracker:
+    """Follows where one person stands, from the first postures of each motion."""
+
+    def __init__(self, place: StandingPlace) -> None:
+        self.place = place
+        self._starts: deque[FloatArray] = deque(maxlen=_N_MEMORY)
+        self._seen: list[FloatArray] = []
+        self.R, self.p = np.eye(3), np.zeros(3)
+
+    @property
+    def elsewhere(self) -> bool:
+        """Whether the person does not stand where the library was recorded."""
+        return bool(self.p.any())
+
+    def start(self) -> None:
+        """A new motion begins; where the last ones began is remembered."""
+        if self._seen:
+            now = _typical(self._seen)
+            if self._starts and not self.place.holds(now, _typical(list(self._starts))):
+                self._starts.clear()
+            self._starts.append(now)
+        self._seen = []
+
+    def update(self, T_pelvis: FloatArray) -> None:
+        """Take the pelvis' pose (4, 4) in one posture, tracker's frame; only the first postures of a motion count."""
+        if len(self._seen) == _N_START:
+            return
+        self._seen.append(np.array([T_pelvis[0, 3], T_pelvis[1, 3], np.arctan2(T_pelvis[1, 0], T_pelvis[0, 0])]))
+        now = _typical(self._seen)
+        known = list(self._starts)
+        if known and self.place.holds(now, _typical(known)):
+            now = _typical([*known, now])
+        if self.place.holds(now):
+            self.R, self.p = np.eye(3), np.zeros(3)
+        else:
+            self.R, self.p = self.place.alignment(now)
+
+
+def start_pose(T_pelvis: FloatArray) -> FloatArray:
+    """Return the (3,) x, y and yaw at which a motion starts, from the pelvis' poses (T, 4, 4)."""
+    first = T_pelvis[:_N_START]
+    return _typical(list(np.column_stack([first[:, :2, 3], np.arctan2(first[:, 1, 0], first[:, 0, 0])])))
+
+
+def _typical(poses: list[FloatArray]) -> FloatArray:
+    """Return the median pose; the yaws' around their circular mean."""
+    stacked = np.stack(poses)
+    mean = np.angle(np.exp(1j * stacked[:, 2]).sum())
+    return np.append(np.median(stacked[:, :2], axis=0), mean + np.median(_wrapped(stacked[:, 2] - mean)))
+
+
+def _wrapped(angle: FloatArray) -> FloatArray:
+    """Return angles within [-pi, pi)."""
+    wrapped: FloatArray = (angle + np.pi) % (2 * np.pi) - np.pi
+    return wrapped
