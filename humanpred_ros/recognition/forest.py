@@ -145,3 +145,12 @@ def _mean_shares(leaves: IntArray, counts: NDArray[np.bool_], share: Float32Arra
         for c in range(n_classes):
             mean[m, c] = mean[m, c] / n_votes if n_votes else 1.0 / n_classes
     return mean
+
+
+@exact
+def add_resemblance(leaves: IntArray, begin: NDArray[np.int64], members: IntArray, weight: FloatArray) -> None:
+    """Add to `weight` (M,) each sample's share of the leaves (B,), whose samples are members[begin[i]:begin[i + 1]]."""
+    for leaf in leaves:
+        n = begin[leaf + 1] - begin[leaf]
+        for k in range(begin[leaf], begin[leaf + 1]):
+            weight[members[k]] += 1.0 / (n * len(leaves))

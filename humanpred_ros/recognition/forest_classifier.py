@@ -11,6 +11,7 @@ from humanpred_ros.errors import MotionError, UsageError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
+from humanpred_ros.recognition.forest import IntArray, add_resemblance
 from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.forest_model import PELVIS, ForestModel, fit_forest, refit_without
 from humanpred_ros.recognition.reach_features import (
@@ -69,6 +70,7 @@ class ForestClassifier(IntentClassifier):
         """Forget the reach that was observed; where the person stands is remembered."""
         self._state = ReachState.fresh()
         self._last_s = -math.inf
+        self._leaves: IntArray | None = None
         self._place.start()
 
     def update(self, q: FloatArray, t_s: float) -> ClassPosterior:
@@ -91,24 +93,54 @@ class ForestClassifier(IntentClassifier):
         self._place.update(poses[self._pelvis])
         advance(self._state, np.ascontiguousarray(poses[self._links][:, :3, 3]), self._features[0])
         x = in_library_frame(self._features, self._place.R, self._place.p)
-        votes = model.forest.vote(model.forest.leaves(x))
+        self._leaves = model.forest.leaves(x)
+        votes = model.forest.vote(self._leaves)
         given_known = model.calibration(votes, x[:, REACHED].astype(np.float64))[0]
         log_odds = float(model.novelty.log_ratio(x)[0]) + self._prior_log_odds
         # Never quite sure of it, so that the classes' shares stay defined.
         unknown = 1.0 / (1.0 + math.exp(-min(max(log_odds, -20.0), 20.0)))
+        self._given_known = given_known = given_known / given_known.sum()
         return ClassPosterior(
             model.labels,
-            given_known * (1.0 - unknown) / given_known.sum(),
+            given_known * (1.0 - unknown),
             np.log(given_known),
             t_s,
             int(self._state.n_seen[0]),
             unknown,
         )
 
+    def exemplar_weights(self) -> FloatArray:
+        """Return (M,) how much each of the model's exemplar postures resembles the present moment of the reach.
+
+        Two postures resemble each other as often as they end in the same leaf (Meinshausen 2006); within a class the
+        weights are scaled to the class's probability, given that the reach is of some class. What follows the
+        exemplars in their motions thus is a sample of what follows now. Their sum falls short of 1 by the
+        probability of classes no exemplar of which shares a leaf with the present moment.
+
+        Raises:
+            UsageError: nothing was observed since `start`.
+        """
+        model = self._fitted()
+        if self._leaves is None:
+            raise UsageError("classifier: wanted a posture observed first, got none since start; call update")
+        weight = np.zeros(len(model.exemplars.q))
+        add_resemblance(self._leaves[0], *model.leaf_members, weight)
+        of_class = model.exemplars.label[model.exemplars.motion]
+        total = np.bincount(of_class, weight, minlength=len(model.labels))
+        scaled: FloatArray = weight * (self._given_known / np.where(total > 0, total, 1.0))[of_class]
+        return scaled
+
     @property
     def elsewhere(self) -> bool:
         """Whether the person does not stand where the library was recorded, so that postures are moved there."""
         return self._place.elsewhere
+
+    @property
+    def alignment(self) -> FloatArray:
+        """(4, 4) T_library_tracker: brings this person to where the people of the library stand."""
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = self._place.R, self._place.p
+        return T
 
     def _take(self, model: ForestModel) -> None:
         self.model = model

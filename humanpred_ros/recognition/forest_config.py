@@ -26,7 +26,7 @@ class ForestConfig:
     motion_share: float = 0.632
     min_samples_leaf: int = 3
     n_postures: int = 50
-    unknown_prior: float = 0.1
+    unknown_prior: float = 0.2
     seed: int = 0
 
     def __post_init__(self) -> None:

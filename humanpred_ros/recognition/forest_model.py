@@ -15,7 +15,7 @@ from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.resampling import unwrap_angles
 from humanpred_ros.recognition.calibration import Calibration
 from humanpred_ros.recognition.class_mixtures import check_trainable
-from humanpred_ros.recognition.forest import Forest, Tree, grow_tree
+from humanpred_ros.recognition.forest import Forest, IntArray, Tree, grow_tree
 from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.novelty import Novelty
 from humanpred_ros.recognition.reach_features import (
@@ -132,6 +132,18 @@ class ForestModel:
         if {tree.share.shape[1] for tree in self.trees} != {len(self.labels)}:
             raise ArrayError(f"reach forest: wanted trees over the {len(self.labels)} classes {self.labels}")
         object.__setattr__(self, "forest", Forest.of_trees(list(self.trees)))
+
+    @cached_property
+    def leaf_members(self) -> tuple[NDArray[np.int64], IntArray]:
+        """Which exemplar postures fall into which leaf: (n_nodes + 1,) where each node's begin, and their numbers.
+
+        All of them, also those a tree did not learn from: they are samples of the leaf's region like the others.
+        """
+        leaves = self.forest.leaves(self.exemplars.features)
+        n_nodes = len(self.forest.feature)
+        begin = np.concatenate([[0], np.cumsum(np.bincount(leaves.ravel(), minlength=n_nodes))])
+        order = np.argsort(leaves, axis=None, kind="stable")
+        return begin.astype(np.int64), (order // self.forest.n_trees).astype(np.int32)
 
 
 def fit_forest(library: MotionLibrary, human: HumanModel, config: ForestConfig) -> ForestModel:

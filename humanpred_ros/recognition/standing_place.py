@@ -30,7 +30,7 @@ class StandingPlace:
 
     Attributes:
         pose: (3,) typical x, y (m) and yaw (rad) of the pelvis at the start, library frame.
-        spread: (3,) their standard deviations, from medians, so that mistracked motions do not count.
+        spread: (3,) their standard deviations, from quantiles, so that mistracked motions do not count.
         limit: how many spreads away a start is still of this place. Four: of 1000 motions from the library's
             place, one or none would be moved.
     """
@@ -51,9 +51,9 @@ class StandingPlace:
         poses = checked("start poses", poses, ("M", 3))
         typical = np.append(np.median(poses[:, :2], axis=0), np.angle(np.exp(1j * poses[:, 2]).sum()))
         typical[2] += np.median(_wrapped(poses[:, 2] - typical[2]))
-        # 1.4826: a normal distribution's standard deviation per median absolute deviation.
         deviation = np.column_stack([poses[:, :2] - typical[:2], _wrapped(poses[:, 2] - typical[2])])
-        return cls(typical, np.maximum(1.4826 * np.median(np.abs(deviation), axis=0), _LEAST_SPREAD))
+        # Of a normal distribution, nine tenths lie within 1.645 standard deviations; the rest may be mistracked.
+        return cls(typical, np.maximum(np.quantile(np.abs(deviation), 0.9, axis=0) / 1.645, _LEAST_SPREAD))
 
     def holds(self, pose: FloatArray, other: FloatArray | None = None) -> bool:
         """Return whether somebody at `pose` (3,) stands at `other` (3,), by default at this place itself."""
