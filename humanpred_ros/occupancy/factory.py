@@ -54,7 +54,7 @@ def make_predictor(
     if name == "swept_volume":
         if model is None:
             raise UsageError("predictor swept_volume: wanted a trained model, got none; train one first")
-        recogniser = trained_classifier(classifier, model, **online)
+        recogniser = trained_classifier(classifier, model, human, **online)
         return SweptVolumePredictor.from_model(model, human, grid, T_world_human, classifier=recogniser)
     if name in ("current", "current_accumulated"):
         return CurrentOccupancyPredictor(human, grid, T_world_human, accumulate=name == "current_accumulated")

@@ -91,7 +91,7 @@ class SweptVolumePredictor(OccupancyPredictor):
         swept = {
             label: swept_volume(voxeliser, q, config) for label, q in zip(model.labels, model.regressed_q, strict=True)
         }
-        return cls(model.classifier() if classifier is None else classifier, swept, grid)
+        return cls(model.gmm_classifier() if classifier is None else classifier, swept, grid)
 
     def start(self) -> None:
         """Forget what was observed: the next posture is the first of a new motion."""

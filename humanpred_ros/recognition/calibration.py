@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.compiled import exact
@@ -52,6 +51,8 @@ class Calibration:
             reached_m: (M,) how far the palm had been from its start.
             label: (M,) numbers of the true classes.
         """
+        from scipy.optimize import minimize  # only training needs it
+
         rows = np.arange(len(votes))
 
         def loss(parameters: FloatArray) -> float:

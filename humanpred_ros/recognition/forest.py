@@ -7,6 +7,7 @@ seen no posture of a motion can tell how well the forest does on motions it does
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,15 +28,13 @@ class Tree:
     Attributes:
         feature: (N,) which feature a node asks for; -1 for a leaf.
         threshold: (N,) left if the feature is at most this.
-        left, right: (N,) numbers of the nodes below.
-        share: (N, C) share of each class among the training postures that came to a node.
+        left, right: (N,) numbers of the nodes below; 0 for a leaf.
     """
 
     feature: IntArray
     threshold: FloatArray
     left: IntArray
     right: IntArray
-    share: Float32Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +43,9 @@ class Forest:
 
     Attributes:
         first: (B + 1,) where each tree's nodes begin; the first of them is its root.
-        feature, threshold, left, right, share: of all nodes, as in `Tree`.
+        feature, threshold, left, right: of all N nodes, as in `Tree`.
+        share: (N, C) share of each class among the samples that a leaf's tree has learned from.
+        sample_leaves: (M, B) the leaf each sample falls into, whether its tree has learned from it or not.
     """
 
     first: IntArray
@@ -53,20 +54,23 @@ class Forest:
     left: IntArray
     right: IntArray
     share: Float32Array
+    sample_leaves: IntArray
 
     @classmethod
-    def of_trees(cls, trees: list[Tree]) -> Forest:
-        """Join trees."""
+    def of_trees(
+        cls, trees: Sequence[Tree], x: Float32Array, label: NDArray[np.intp], learned: NDArray[np.bool_], n_classes: int
+    ) -> Forest:
+        """Join trees, and count in their leaves the samples (M, F) of classes (M,) they have `learned` from (M, B)."""
         first = np.concatenate([[0], np.cumsum([len(tree.feature) for tree in trees])]).astype(np.int32)
         shift = np.repeat(first[:-1], np.diff(first))
-        return cls(
-            first,
-            np.concatenate([tree.feature for tree in trees]),
-            np.concatenate([tree.threshold for tree in trees]),
-            np.concatenate([tree.left for tree in trees]) + shift,
-            np.concatenate([tree.right for tree in trees]) + shift,
-            np.concatenate([tree.share for tree in trees]),
-        )
+        feature = np.concatenate([tree.feature for tree in trees])
+        threshold = np.concatenate([tree.threshold for tree in trees])
+        left = np.concatenate([tree.left for tree in trees]) + shift
+        right = np.concatenate([tree.right for tree in trees]) + shift
+        leaves = np.empty((len(x), len(trees)), dtype=np.int32)
+        _find_leaves(x, first, feature, threshold, left, right, leaves)
+        share = _leaf_shares(leaves, learned, label, len(feature), n_classes)
+        return cls(first, feature, threshold, left, right, share, leaves)
 
     @property
     def n_trees(self) -> int:
@@ -87,8 +91,8 @@ class Forest:
         return _mean_shares(leaves, np.ones((1, 1), dtype=np.bool_) if counts is None else counts, self.share)
 
 
-def grow_tree(x: Float32Array, label: NDArray[np.intp], n_classes: int, seed: int, config: ForestConfig) -> Tree:
-    """Return a tree grown on samples (M, F) of the classes `label` (M,), numbered from 0 to `n_classes` - 1.
+def grow_tree(x: Float32Array, label: NDArray[np.intp], seed: int, config: ForestConfig) -> Tree:
+    """Return a tree grown on samples (M, F) of the classes `label` (M,).
 
     The same samples and seed give the same tree.
     """
@@ -98,16 +102,12 @@ def grow_tree(x: Float32Array, label: NDArray[np.intp], n_classes: int, seed: in
         min_samples_leaf=config.min_samples_leaf, max_features="sqrt", random_state=seed
     ).fit(x, label)
     nodes = grown.tree_
-    share = np.zeros((nodes.node_count, n_classes), dtype=np.float32)
-    value = nodes.value[:, 0, :]  # counts or shares, depending on the release
-    share[:, grown.classes_] = value / value.sum(axis=1, keepdims=True)
     leaf = nodes.children_left < 0
     return Tree(
         np.where(leaf, -1, nodes.feature).astype(np.int32),
         np.array(nodes.threshold, dtype=np.float64),
         np.where(leaf, 0, nodes.children_left).astype(np.int32),
         np.where(leaf, 0, nodes.children_right).astype(np.int32),
-        share,
     )
 
 
@@ -128,6 +128,24 @@ def _find_leaves(
             while feature[node] >= 0:
                 node = left[node] if x[m, feature[node]] <= threshold[node] else right[node]
             out[m, tree] = node
+
+
+@exact
+def _leaf_shares(
+    leaves: IntArray, learned: NDArray[np.bool_], label: NDArray[np.intp], n_nodes: int, n_classes: int
+) -> Float32Array:
+    """Return (N, C) the share of each class among the samples that fall into each node and were learned from."""
+    share = np.zeros((n_nodes, n_classes), dtype=np.float32)
+    n_samples, n_trees = leaves.shape
+    for m in range(n_samples):
+        for tree in range(n_trees):
+            if learned[m, tree]:
+                share[leaves[m, tree], label[m]] += 1.0
+    for node in range(n_nodes):
+        total = share[node].sum()
+        if total > 0:
+            share[node] /= total
+    return share
 
 
 @exact

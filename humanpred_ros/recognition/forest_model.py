@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -114,6 +115,7 @@ class ForestModel:
         labels: C class labels.
         exemplars: what it was trained on.
         trees: what was grown.
+        forest: the trees joined, with their votes (`joined`).
         calibration: from votes to probabilities.
         novelty: from distances to the probability of no class.
         place: where the library's people stand.
@@ -123,15 +125,10 @@ class ForestModel:
     labels: tuple[int, ...]
     exemplars: Exemplars
     trees: tuple[Tree, ...]
+    forest: Forest
     calibration: Calibration
     novelty: Novelty
     place: StandingPlace
-    forest: Forest = field(init=False)
-
-    def __post_init__(self) -> None:
-        if {tree.share.shape[1] for tree in self.trees} != {len(self.labels)}:
-            raise ArrayError(f"reach forest: wanted trees over the {len(self.labels)} classes {self.labels}")
-        object.__setattr__(self, "forest", Forest.of_trees(list(self.trees)))
 
     @cached_property
     def leaf_members(self) -> tuple[NDArray[np.int64], IntArray]:
@@ -139,7 +136,7 @@ class ForestModel:
 
         All of them, also those a tree did not learn from: they are samples of the leaf's region like the others.
         """
-        leaves = self.forest.leaves(self.exemplars.features)
+        leaves = self.forest.sample_leaves
         n_nodes = len(self.forest.feature)
         begin = np.concatenate([[0], np.cumsum(np.bincount(leaves.ravel(), minlength=n_nodes))])
         order = np.argsort(leaves, axis=None, kind="stable")
@@ -156,58 +153,67 @@ def fit_forest(library: MotionLibrary, human: HumanModel, config: ForestConfig) 
     check_trainable(library)
     human.check_dofs(library.dof_names)
     exemplars = Exemplars.of_motions(library.motions, library.labels, human, config.n_postures)
-    drawn = _drawn(exemplars.names, config)
-    trees = [_grow(exemplars, drawn[:, b], len(library.labels), b, config) for b in range(config.n_trees)]
-    return _finished(library.labels, exemplars, drawn, trees, config)
+    learned = drawn_motions(exemplars.names, config)
+    trees = [_grow(exemplars, learned[:, b], b, config) for b in range(config.n_trees)]
+    return _finished(library.labels, exemplars, trees, config)
 
 
 def refit_without(model: ForestModel, name: str) -> ForestModel:
-    """Return what `fit_forest` would without one motion: only trees that had seen it are grown anew."""
+    """Return what `fit_forest` would without one motion: only trees that had learned from it are grown anew."""
     exemplars, config = model.exemplars.without(name), model.config
-    had_seen = _drawn((name,), config)[0]
-    drawn = _drawn(exemplars.names, config)
+    before = drawn_motions(model.exemplars.names, config)
+    learned = drawn_motions(exemplars.names, config)
+    k = model.exemplars.names.index(name)
+    changed = before[k] | (np.delete(before, k, axis=0) != learned).any(axis=0)
     trees = [
-        _grow(exemplars, drawn[:, b], len(model.labels), b, config) if had_seen[b] else tree
-        for b, tree in enumerate(model.trees)
+        _grow(exemplars, learned[:, b], b, config) if changed[b] else tree for b, tree in enumerate(model.trees)
     ]
-    return _finished(model.labels, exemplars, drawn, trees, config)
+    return _finished(model.labels, exemplars, trees, config)
 
 
-def _drawn(names: tuple[str, ...], config: ForestConfig) -> NDArray[np.bool_]:
+def drawn_motions(names: tuple[str, ...], config: ForestConfig) -> NDArray[np.bool_]:
     """Return (K, B) which motions each tree learns from: a motion's lot does not depend on the other motions."""
-    lots = []
-    for name in names:
-        rng = np.random.default_rng([config.seed, *name.encode()])
-        lots.append(rng.random(config.n_trees) < config.motion_share)
-    return np.array(lots)
+    lots = [np.random.default_rng([config.seed, *name.encode()]).random(config.n_trees) for name in names]
+    drawn: NDArray[np.bool_] = np.array(lots) < config.motion_share
+    drawn[:, ~drawn.any(axis=0)] = True  # of very few motions none may be drawn; better then to learn from all
+    return drawn
 
 
-def _grow(exemplars: Exemplars, drawn: NDArray[np.bool_], n_classes: int, b: int, config: ForestConfig) -> Tree:
-    if not drawn.any():  # as few motions as that: better a tree that has seen all than none
-        drawn = np.ones_like(drawn)
+def _grow(exemplars: Exemplars, drawn: NDArray[np.bool_], b: int, config: ForestConfig) -> Tree:
     mine = drawn[exemplars.motion]
     label = exemplars.label[exemplars.motion][mine]
-    return grow_tree(exemplars.features[mine], label, n_classes, config.seed + b, config)
+    return grow_tree(exemplars.features[mine], label, config.seed + b, config)
 
 
-def _finished(
-    labels: tuple[int, ...],
-    exemplars: Exemplars,
-    drawn: NDArray[np.bool_],
-    trees: list[Tree],
-    config: ForestConfig,
-) -> ForestModel:
-    forest = Forest.of_trees(trees)
-    every_other = np.arange(0, len(exemplars.q), 2)  # neighbours say the same; calibration has five parameters
-    motion = exemplars.motion[every_other]
-    features = exemplars.features[every_other]
-    votes = forest.vote(forest.leaves(features), ~drawn[motion])
+def joined(labels: tuple[int, ...], exemplars: Exemplars, trees: Sequence[Tree], config: ForestConfig) -> Forest:
+    """Return the forest of trees that were grown on these exemplars.
+
+    Raises:
+        ArrayError: another number of trees than the settings say, or classes without exemplars.
+    """
+    if len(trees) != config.n_trees or set(exemplars.label) != set(range(len(labels))):
+        raise ArrayError(
+            f"reach forest: wanted {config.n_trees} trees and exemplars of each of the {len(labels)} classes, "
+            f"got {len(trees)} and those of classes {sorted(set(exemplars.label))}"
+        )
+    learned = drawn_motions(exemplars.names, config)[exemplars.motion]
+    return Forest.of_trees(trees, exemplars.features, exemplars.label[exemplars.motion], learned, len(labels))
+
+
+def _finished(labels: tuple[int, ...], exemplars: Exemplars, trees: list[Tree], config: ForestConfig) -> ForestModel:
+    forest = joined(labels, exemplars, trees, config)
+    label = exemplars.label[exemplars.motion]
+    learned = drawn_motions(exemplars.names, config)[exemplars.motion]
+    every_other = slice(None, None, 2)  # neighbours say the same; calibration has five parameters
+    votes = forest.vote(forest.sample_leaves[every_other], ~learned[every_other])
+    reached_m = exemplars.features[every_other, REACHED].astype(np.float64)
     return ForestModel(
         config,
         labels,
         exemplars,
         tuple(trees),
-        Calibration.fit(votes, features[:, REACHED].astype(np.float64), exemplars.label[motion]),
+        forest,
+        Calibration.fit(votes, reached_m, label[every_other]),
         Novelty.fit(exemplars.features, exemplars.first, exemplars.label),
         StandingPlace.of_starts(exemplars.start_pose),
     )

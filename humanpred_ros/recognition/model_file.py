@@ -2,7 +2,8 @@
 
 Format: a NumPy .npz archive without pickled objects, stored uncompressed (every member has a CRC). `metadata` is
 JSON in UTF-8 bytes; the other members are arrays, classes first: `weights` (C, K), `means` (C, K, F), `covariances`
-(C, K, F, F), `regressed_q` (C, N, D), `goals_m` (C, 3). The same model gives the same bytes.
+(C, K, F, F), `regressed_q` (C, N, D), `goals_m` (C, 3). Those of the reach forest begin with `forest_` and are named
+after the attributes they hold (`forest_file`). The same model gives the same bytes.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from humanpred_ros.errors import HumanPredError, ModelFileError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.recognition.class_mixtures import ClassMixtures
+from humanpred_ros.recognition.forest_file import forest_arrays, forest_metadata, read_forest
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.mixture import GaussianMixture
 from humanpred_ros.recognition.training import TrainedModel, train_model
@@ -30,7 +32,7 @@ __all__ = ["FORMAT_VERSION", "TrainedModel", "load_model", "save_model", "train_
 
 FORMAT = "humanpred_ros trained model"
 #: Raised whenever a reader of the old version would misread the new.
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 #: Whatever zipfile and NumPy raise on bytes that are not an archive they wrote.
 _UNREADABLE = (
@@ -55,6 +57,7 @@ def save_model(model: TrainedModel, path: str | Path) -> None:
         "covariances": np.stack([mixture.covariances for mixture in mixtures]),
         "regressed_q": model.regressed_q,
         "goals_m": model.goals_m,
+        **forest_arrays(model.forest),
     }
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -108,8 +111,8 @@ def _metadata(model: TrainedModel) -> dict[str, Any]:
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "package_version": model.package_version,
-        "classifier": "gmm",
         "config": dataclasses.asdict(model.config),
+        "forest": forest_metadata(model.forest),
         "labels": model.labels,
         "motions_per_class": model.classes.motions_per_class,
         "dof_names": model.dof_names,
@@ -166,6 +169,7 @@ def _model(metadata: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Trained
         str(metadata["frame_id"]),
         str(metadata["human_signature"]),
         str(metadata["library_name"]),
+        read_forest(metadata["forest"], arrays),
         {str(key): str(value) for key, value in metadata["library_provenance"].items()},
         tuple(str(name) for name in metadata["training_motions"]),
         str(metadata["package_version"]),

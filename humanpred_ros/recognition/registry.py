@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from humanpred_ros.errors import UsageError
+from humanpred_ros.human.model import HumanModel
 from humanpred_ros.recognition.classifier import IntentClassifier
 from humanpred_ros.recognition.forest_classifier import ForestClassifier
 from humanpred_ros.recognition.forest_config import ForestConfig
@@ -32,19 +33,24 @@ def make_classifier(name: str, config: ForestConfig | GmmConfig | None = None) -
     raise UsageError(f"classifier {name}: wanted its own settings, got {type(config).__name__}")
 
 
-def trained_classifier(name: str, model: TrainedModel, **online: object) -> IntentClassifier:
+def trained_classifier(name: str, model: TrainedModel, human: HumanModel, **online: object) -> IntentClassifier:
     """Return a classifier by name, ready for use, from a trained model.
 
     Args:
         name: one of `CLASSIFIERS`.
         model: what was learned.
-        online: settings that differ from the model's (`GmmConfig`, those free to change).
+        human: whose postures come.
+        online: settings of `gmm` that differ from the model's (`GmmConfig`, those free to change).
 
     Raises:
         UsageError: unknown name, or a setting that a trained model cannot change.
     """
     _check(name)
-    return model.classifier(**online)
+    if name == "gmm":
+        return model.gmm_classifier(**online)
+    if online:
+        raise UsageError(f"classifier {name}: wanted no settings, got {', '.join(online)}; they belong to gmm")
+    return model.forest_classifier(human)
 
 
 def _check(name: str) -> None:

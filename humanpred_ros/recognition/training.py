@@ -14,6 +14,9 @@ from humanpred_ros.errors import ArrayError, HumanModelError, UsageError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.recognition.class_mixtures import ClassMixtures, fit_class_mixtures
+from humanpred_ros.recognition.forest_classifier import ForestClassifier
+from humanpred_ros.recognition.forest_config import ForestConfig
+from humanpred_ros.recognition.forest_model import ForestModel, fit_forest
 from humanpred_ros.recognition.gmm_classifier import GmmClassifier
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.mixture import GaussianMixture
@@ -28,8 +31,8 @@ class TrainedModel:
     """What was learned from a library, and from which: immutable.
 
     Attributes:
-        config: settings of the classifier.
-        classes: C labels and their mixtures, DoF names and nominal duration.
+        config: settings of P1's classifier.
+        classes: of P1's classifier: C labels and their mixtures, DoF names and nominal duration.
         regressed_q: (C, N, D) the expected motion of each class at N evenly spaced phases, library frame.
         goals_m: (C, 3) where each class reaches to: the palm in the regressed posture in which it is farthest
             from where it was in the first one. For reaches that is the end, for reach and return the turning
@@ -37,6 +40,7 @@ class TrainedModel:
         frame_id: frame of the library.
         human_signature: `HumanModel.signature` of the human it was trained for.
         library_name: name of the library.
+        forest: the default classifier's model, with the library's postures.
         library_provenance: where the library came from.
         training_motions: names of the motions learned from.
         package_version: version of this package that trained it.
@@ -52,6 +56,7 @@ class TrainedModel:
     frame_id: str
     human_signature: str
     library_name: str
+    forest: ForestModel
     library_provenance: Mapping[str, str] = field(default_factory=dict)
     training_motions: tuple[str, ...] = ()
     package_version: str = humanpred_ros.__version__
@@ -60,6 +65,8 @@ class TrainedModel:
         n_classes, n_dofs = len(self.labels), len(self.dof_names)
         if self.classes.has_phase != self.config.phase_feature:
             raise ArrayError("trained model: settings and mixtures disagree on whether the phase is a feature")
+        if self.forest.labels != self.labels:
+            raise ArrayError(f"trained model: wanted a forest over classes {self.labels}, got {self.forest.labels}")
         if {mixture.n_components for mixture in self.classes.mixtures} != {self.config.n_components}:
             raise ArrayError(f"trained model: wanted {self.config.n_components} components in every mixture")
         regressed = checked("regressed motions", self.regressed_q, (n_classes, self.config.n_phase_frames, n_dofs))
@@ -95,13 +102,22 @@ class TrainedModel:
         t_s = np.linspace(0.0, self.nominal_duration_s, len(q))
         return Motion(t_s, q, self.dof_names, label, 0, self.frame_id)
 
-    def classifier(self, **online: object) -> GmmClassifier:
-        """Return a classifier ready for use, nothing observed yet; `online` changes settings (see `GmmConfig`)."""
+    def gmm_classifier(self, **online: object) -> GmmClassifier:
+        """Return P1's classifier ready for use, nothing observed yet; `online` changes settings (see `GmmConfig`)."""
         return GmmClassifier(self.config.with_online(**online), self.classes)
 
+    def forest_classifier(self, human: HumanModel) -> ForestClassifier:
+        """Return the default classifier ready for use, nothing observed yet."""
+        return ForestClassifier(human=human, model=self.forest)
 
-def train_model(library: MotionLibrary, human: HumanModel, config: GmmConfig | None = None) -> TrainedModel:
-    """Learn classifier, expected motions and goals from a library.
+
+def train_model(
+    library: MotionLibrary,
+    human: HumanModel,
+    config: GmmConfig | None = None,
+    forest_config: ForestConfig | None = None,
+) -> TrainedModel:
+    """Learn both classifiers, expected motions and goals from a library.
 
     Same library, settings and seed give the same model.
 
@@ -122,6 +138,7 @@ def train_model(library: MotionLibrary, human: HumanModel, config: GmmConfig | N
         library.frame_id,
         human.signature,
         library.name,
+        fit_forest(library, human, ForestConfig() if forest_config is None else forest_config),
         library.provenance,
         tuple(motion.name for motion in library),
     )

@@ -21,6 +21,7 @@ from small_library import small_library
 from humanpred_ros.errors import ModelFileError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.recognition import model_file
+from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.model_file import TrainedModel, load_model, save_model, train_model
 
@@ -30,7 +31,7 @@ HUMAN = HumanModel.kinect12()
 @cache
 def trained() -> TrainedModel:
     config = GmmConfig(n_components=3, max_iterations=10, evidence="mean", window_frames=12, nominal_duration_s=1.4)
-    return train_model(small_library(2, 3), HUMAN, config)
+    return train_model(small_library(2, 3), HUMAN, config, ForestConfig(n_trees=7))
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +74,15 @@ def test_round_trip_to_the_bit(saved: Path) -> None:
     loaded = load_model(saved, HUMAN)
     assert_same(loaded, trained())
     motion = small_library(2, 1, seed=5).motions[1]
-    np.testing.assert_array_equal(loaded.classifier().posteriors(motion), trained().classifier().posteriors(motion))
+    np.testing.assert_array_equal(
+        loaded.gmm_classifier().posteriors(motion), trained().gmm_classifier().posteriors(motion)
+    )
+    read, kept = loaded.forest_classifier(HUMAN), trained().forest_classifier(HUMAN)
+    for q, t_s in zip(motion.q, motion.t_s, strict=True):
+        one, other = read.update(q, t_s), kept.update(q, t_s)
+        np.testing.assert_array_equal(one.probability, other.probability)
+        assert one.unknown == other.unknown
+        np.testing.assert_array_equal(read.exemplar_weights(), kept.exemplar_weights())
 
 
 def test_the_same_model_gives_the_same_bytes(saved: Path, tmp_path: Path) -> None:
@@ -137,7 +146,7 @@ def test_pickled_objects_are_never_loaded(tmp_path: Path, saved: Path) -> None:
     ("changes", "message"),
     [
         ({"format": "something else"}, "wanted a humanpred_ros trained model"),
-        ({"format_version": 2}, "wanted format version 1, got 2"),
+        ({"format_version": 1}, "wanted format version 2, got 1"),
         ({"human_signature": "0" * 64}, "made for another human"),
         ({"dof_names": [f"joint{i}" for i in range(12)]}, "DoFs do not fit"),
         ({"dof_names": ["PelvisTransX"]}, "parts do not fit"),
@@ -148,6 +157,13 @@ def test_pickled_objects_are_never_loaded(tmp_path: Path, saved: Path) -> None:
         ({"weights": np.ones((2, 3))}, "parts do not fit"),
         ({"covariances": np.zeros((2, 3, 13, 13))}, "parts do not fit"),
         ({"goals_m": np.full((2, 3), np.nan)}, "parts do not fit"),
+        ({"forest": {}}, "parts do not fit"),
+        ({"forest_calibration": np.zeros(4)}, "parts do not fit"),
+        ({"forest_place_spread": np.zeros(3)}, "parts do not fit"),
+        ({"forest_exemplar_label": np.zeros(6, dtype=np.int64)}, "parts do not fit"),
+        ({"forest_exemplar_first": np.arange(7)}, "parts do not fit"),
+        ({"forest_n_nodes": np.array([3])}, "parts do not fit"),
+        ({"forest_left": np.zeros(10, dtype=np.int32)}, "parts do not fit"),
     ],
 )
 def test_files_that_do_not_fit_are_refused(
@@ -195,7 +211,16 @@ def test_loading_stays_light(saved: Path) -> None:
         "from humanpred_ros.recognition.model_file import load_model; "
         "import humanpred_ros.occupancy.factory; "
         f"load_model({str(saved)!r}, HumanModel.kinect12()); "
-        "print([m for m in ('sklearn', 'matplotlib', 'numba', 'scipy') if m in sys.modules])"
+        "print([m for m in ('sklearn', 'matplotlib') if m in sys.modules])"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=REPOSITORY, check=False)
     assert (result.returncode, result.stdout.strip()) == (0, "[]"), result.stderr
+
+
+@pytest.mark.parametrize(("node", "to"), [("forest_left", 0), ("forest_right", 10**6), ("forest_feature", 48)])
+def test_trees_that_lead_nowhere_or_in_circles_are_refused(tmp_path: Path, saved: Path, node: str, to: int) -> None:
+    with np.load(saved) as archive:
+        array = archive[node].copy()
+        array[int(np.argmax(archive["forest_feature"] >= 0))] = to
+    with pytest.raises(ModelFileError, match="parts do not fit"):
+        load_model(rewritten(saved, tmp_path / "model.npz", **{node: array}), HUMAN)

@@ -48,7 +48,7 @@ def test_a_classifier_without_phase_still_has_regressed_motions() -> None:
     without = train_model(library, HUMAN, replace(CONFIG, phase_feature=False))
     np.testing.assert_array_equal(without.regressed_q, train_model(library, HUMAN, CONFIG).regressed_q)
     assert not without.classes.has_phase
-    assert without.classifier().posteriors(library.motions[0]).shape == (40, 3)
+    assert without.gmm_classifier().posteriors(library.motions[0]).shape == (40, 3)
 
 
 def test_the_same_library_and_seed_give_the_same_model() -> None:
@@ -60,12 +60,12 @@ def test_the_same_library_and_seed_give_the_same_model() -> None:
 
 def test_classifiers_of_a_model_do_not_share_what_they_saw() -> None:
     model = train_model(small_library(), HUMAN, CONFIG)
-    one, other = (trained_classifier("gmm", model, evidence="mean") for _ in range(2))
+    one, other = (trained_classifier("gmm", model, HUMAN, evidence="mean") for _ in range(2))
     motion = small_library().motions[0]
     one.update(motion.q[0], 0.0)
     assert other.update(motion.q[1], 5.0).n_frames == 1
-    with pytest.raises(UsageError, match="wanted one of gmm"):
-        trained_classifier("svm", model)
+    with pytest.raises(UsageError, match="wanted one of forest, gmm"):
+        trained_classifier("svm", model, HUMAN)
 
 
 def test_what_does_not_fit_is_refused() -> None:
