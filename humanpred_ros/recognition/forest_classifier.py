@@ -15,8 +15,11 @@ from humanpred_ros.recognition.forest import IntArray, add_resemblance
 from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.forest_model import PELVIS, ForestModel, fit_forest, refit_without
 from humanpred_ros.recognition.reach_features import (
+    FAR,
+    HEADINGS,
     N_FEATURES,
     REACHED,
+    Float32Array,
     ReachState,
     advance,
     in_library_frame,
@@ -25,6 +28,13 @@ from humanpred_ros.recognition.reach_features import (
 from humanpred_ros.recognition.standing_place import PlaceTracker
 
 __all__ = ["ForestClassifier", "ForestConfig"]
+
+
+#: Columns that tell one moment of a reach from another: palm now, farthest point, headings over 15 and 30 cm; and
+#: what a unit of each is worth in metres.
+_MOMENT = np.array([*range(3), *range(FAR, FAR + 3), *range(HEADINGS + 6, HEADINGS + 12)])
+_MOMENT_SCALE_M = np.repeat(np.array([1.0, 0.1], dtype=np.float32), 6)
+_MOMENT_WIDTH_M = 0.05
 
 
 class ForestClassifier(IntentClassifier):
@@ -92,11 +102,11 @@ class ForestClassifier(IntentClassifier):
         self._last_s = t_s
         self._place.update(poses[self._pelvis])
         advance(self._state, np.ascontiguousarray(poses[self._links][:, :3, 3]), self._features[0])
-        x = in_library_frame(self._features, self._place.R, self._place.p)
-        self._leaves = model.forest.leaves(x)
+        self._x = in_library_frame(self._features, self._place.R, self._place.p)
+        self._leaves = model.forest.leaves(self._x)
         votes = model.forest.vote(self._leaves)
-        given_known = model.calibration(votes, x[:, REACHED].astype(np.float64))[0]
-        log_odds = float(model.novelty.log_ratio(x)[0]) + self._prior_log_odds
+        given_known = model.calibration(votes, self._x[:, REACHED].astype(np.float64))[0]
+        log_odds = float(model.novelty.log_ratio(self._x)[0]) + self._prior_log_odds
         # Never quite sure of it, so that the classes' shares stay defined.
         unknown = 1.0 / (1.0 + math.exp(-min(max(log_odds, -20.0), 20.0)))
         self._given_known = given_known = given_known / given_known.sum()
@@ -112,10 +122,11 @@ class ForestClassifier(IntentClassifier):
     def exemplar_weights(self) -> FloatArray:
         """Return (M,) how much each of the model's exemplar postures resembles the present moment of the reach.
 
-        Two postures resemble each other as often as they end in the same leaf (Meinshausen 2006); within a class the
-        weights are scaled to the class's probability, given that the reach is of some class. What follows the
-        exemplars in their motions thus is a sample of what follows now. Their sum falls short of 1 by the
-        probability of classes no exemplar of which shares a leaf with the present moment.
+        Two postures resemble each other as often as they end in the same leaf (Meinshausen 2006), and the more the
+        nearer palm, farthest point and heading are: a leaf that is sure of the class cares no more for the moment.
+        Within a class the weights are scaled to the class's probability, given that the reach is of some class. What
+        follows the exemplars in their motions thus is a sample of what follows now. Their sum falls short of 1 by
+        the probability of classes no exemplar of which shares a leaf with the present moment.
 
         Raises:
             UsageError: nothing was observed since `start`.
@@ -125,6 +136,12 @@ class ForestClassifier(IntentClassifier):
             raise UsageError("classifier: wanted a posture observed first, got none since start; call update")
         weight = np.zeros(len(model.exemplars.q))
         add_resemblance(self._leaves[0], *model.leaf_members, weight)
+        similar = np.flatnonzero(weight)
+        difference = _moment(model.exemplars.features[similar]) - _moment(self._x)
+        square = (difference**2).sum(axis=1)
+        # As wide as the twentieth nearest, so that there always are some.
+        width = max(_MOMENT_WIDTH_M**2, np.partition(square, min(20, len(square)) - 1)[min(20, len(square)) - 1])
+        weight[similar] *= np.exp(-0.5 * square / width)
         of_class = model.exemplars.label[model.exemplars.motion]
         total = np.bincount(of_class, weight, minlength=len(model.labels))
         scaled: FloatArray = weight * (self._given_known / np.where(total > 0, total, 1.0))[of_class]
@@ -146,6 +163,7 @@ class ForestClassifier(IntentClassifier):
         self.model = model
         self._place = PlaceTracker(model.place)
         self._features = np.zeros((1, N_FEATURES))
+        self._x = self._features.astype(np.float32)
         prior = model.config.unknown_prior
         self._prior_log_odds = math.log(prior / (1.0 - prior))
         self.start()
@@ -154,3 +172,8 @@ class ForestClassifier(IntentClassifier):
         if self.model is None:
             raise UsageError("classifier: wanted one that has learned, got a new one; call fit(library) first")
         return self.model
+
+
+def _moment(features: Float32Array) -> Float32Array:
+    scaled: Float32Array = features[:, _MOMENT] * _MOMENT_SCALE_M
+    return scaled
