@@ -46,6 +46,7 @@ setup(
         "numpy>=1.26",
         "scipy>=1.11",
         "numba>=0.60",
+        "scikit-learn>=1.4",
         "pin>=4.0",
         "example-robot-data>=6.0",
         "mcap>=1.6",
@@ -63,7 +64,6 @@ setup(
         "test": [
             "pytest>=8.0",
             "hypothesis>=6.90",
-            "scikit-learn>=1.4",
             "ruff>=0.6",
             "mypy>=1.11",
             "types-PyYAML>=6.0",
