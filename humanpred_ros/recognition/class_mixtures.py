@@ -117,7 +117,7 @@ def _class_mixtures(library: MotionLibrary, mixtures: list[GaussianMixture]) -> 
 
 
 def check_trainable(library: MotionLibrary) -> None:
-    """Raise LibraryFormatError unless there are two classes or more, each of two motions or more that move."""
+    """Raise LibraryFormatError unless there are two classes or more, each of two motions or more, all different."""
     unlabelled = [motion.name for motion in library if motion.label is None]
     if unlabelled:
         raise LibraryFormatError(
@@ -138,6 +138,15 @@ def check_trainable(library: MotionLibrary) -> None:
         if not any(_moves(motion) for motion in motions):
             raise LibraryFormatError(
                 f"library {library.name}: wanted motions that move, in class {label} no degree of freedom ever changes"
+            )
+    seen: dict[bytes, Motion] = {}
+    for motion in library:
+        # A recording counted twice weighs twice, and leaving one of the two out would test on the other.
+        twin = seen.setdefault(motion.q.tobytes(), motion)
+        if twin is not motion:
+            raise LibraryFormatError(
+                f"library {library.name}: wanted every motion once, {twin.name} and {motion.name} have the same "
+                "postures; leave one of them out"
             )
 
 

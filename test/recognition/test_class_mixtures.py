@@ -10,7 +10,7 @@ from small_library import small_library
 
 from humanpred_ros.errors import ArrayError, LibraryFormatError
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.recognition.class_mixtures import ClassMixtures, fit_class_mixtures
+from humanpred_ros.recognition.class_mixtures import ClassMixtures, check_trainable, fit_class_mixtures
 from humanpred_ros.recognition.gmm_config import GmmConfig
 
 CONFIG = GmmConfig(n_components=4, max_iterations=20)
@@ -73,6 +73,13 @@ def test_libraries_that_do_not_suffice_are_refused() -> None:
         fit_class_mixtures(replace(library, motions=still), CONFIG)
     with pytest.raises(LibraryFormatError, match="class 0: mixture: wanted at least as many distinct samples"):
         fit_class_mixtures(small_library(n_motions=2), GmmConfig(n_components=201))
+
+
+def test_a_motion_that_is_there_twice_is_named() -> None:
+    library = small_library(2, 3)
+    twice = replace(library, motions=(*library.motions, replace(library.motions[1], index=9)))
+    with pytest.raises(LibraryFormatError, match="0/1 and 0/9 have the same postures"):
+        check_trainable(twice)
 
 
 def test_a_degree_of_freedom_that_never_moves_is_no_obstacle() -> None:

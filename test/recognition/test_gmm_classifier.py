@@ -17,6 +17,7 @@ from humanpred_ros.errors import ArrayError, HumanPredError, MotionError, UsageE
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.recognition.class_mixtures import ClassMixtures
+from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.gmm_classifier import GmmClassifier, GmmConfig
 from humanpred_ros.recognition.registry import CLASSIFIERS, make_classifier
 
@@ -229,7 +230,7 @@ def test_misuse_is_named() -> None:
     other = Motion(np.arange(3.0), np.zeros((3, 1)), ("elbow",))
     with pytest.raises(UsageError, match="elbow"):
         fitted().posteriors(other)
-    with pytest.raises(UsageError, match="wanted one of gmm"):
+    with pytest.raises(UsageError, match="wanted one of forest, gmm"):
         make_classifier("dtw")
 
 
@@ -252,8 +253,13 @@ def test_impossible_settings_are_refused(change: dict[str, object]) -> None:
 
 
 def test_classifiers_by_name() -> None:
-    for name in CLASSIFIERS:
-        assert make_classifier(name, GmmConfig(seed=3)).fit(small_library(2, 3)) is not None
+    settings_of = {"gmm": GmmConfig(n_components=5, seed=3), "forest": ForestConfig(n_trees=5, seed=3)}
+    assert settings_of.keys() == CLASSIFIERS.keys()
+    for name, config in settings_of.items():
+        fitted_one = make_classifier(name, config).fit(small_library(2, 3))
+        assert fitted_one.update(small_library(2, 3).motions[0].q[0], 0.0).labels == (0, 10)
+    with pytest.raises(UsageError, match="its own settings, got GmmConfig"):
+        make_classifier("forest", GmmConfig())
 
 
 def test_recognition_rate_of_the_paper() -> None:
