@@ -6,6 +6,7 @@ from numpy.typing import ArrayLike
 
 from humanpred_ros.errors import UsageError
 from humanpred_ros.human.model import HumanModel
+from humanpred_ros.occupancy.constant_velocity import ConstantVelocityPredictor
 from humanpred_ros.occupancy.current import CurrentOccupancyPredictor
 from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.p1 import SweptVolumePredictor
@@ -18,6 +19,7 @@ PREDICTORS = {
     "swept_volume": "P1: posterior of the classes times the volumes they sweep",
     "current": "baseline: the body where it is now",
     "current_accumulated": "baseline: everywhere the body was since the motion began (published code of P1)",
+    "constant_velocity": "baseline: the body where it is, and where it gets to if it goes on as it moves now",
 }
 
 
@@ -56,6 +58,8 @@ def make_predictor(
             raise UsageError("predictor swept_volume: wanted a trained model, got none; train one first")
         recogniser = trained_classifier(classifier, model, human, **online)
         return SweptVolumePredictor.from_model(model, human, grid, T_world_human, classifier=recogniser)
+    if name == "constant_velocity":
+        return ConstantVelocityPredictor(human, grid, T_world_human)
     if name in ("current", "current_accumulated"):
         return CurrentOccupancyPredictor(human, grid, T_world_human, accumulate=name == "current_accumulated")
     raise UsageError(f"predictor: wanted one of {', '.join(PREDICTORS)}, got {name!r}")
