@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -180,6 +182,34 @@ def _bag_salvage(options: argparse.Namespace) -> int:
     return 0
 
 
+#: Experiments: group -> (what it is, name -> (module with `add_arguments` and `run`, what it is)).
+_EXPERIMENTS = {
+    "evaluate": (
+        "measure against recordings, leaving out what is tested",
+        {
+            "recognition": ("recognition_command", "how early and how surely a reach is recognised (P1 Fig. 6)"),
+            "occupancy": ("occupancy_command", "predicted occupancy against the voxels really swept"),
+        },
+    ),
+}
+
+
+class _ExperimentParser(argparse.ArgumentParser):
+    """Asks the module of an experiment for its options only when the experiment is called: imports take time."""
+
+    def __init__(self, *, module: str, **settings: Any) -> None:
+        super().__init__(**settings)
+        self._module: str | None = module
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        if self._module is not None:
+            experiment = importlib.import_module(f"humanpred_ros.experiments.{self._module}")
+            self._module = None
+            experiment.add_arguments(self)
+            self.set_defaults(command=lambda options: experiment.run(options, console))
+        return super().parse_known_args(args, namespace)
+
+
 def command_parser() -> argparse.ArgumentParser:
     """Return the parser of every subcommand; `command` is the function it runs."""
     parser = argparse.ArgumentParser(prog="humanpred", description=__doc__)
@@ -248,6 +278,12 @@ def command_parser() -> argparse.ArgumentParser:
     replay = add("replay", _replay, "feed a run's recorded occupancy to a fresh planner and compare its decisions")
     replay.add_argument("run", help="folder of the run")
     replay.add_argument("--out", help="bag to write; default: replayed_bag in the run's folder")
+
+    for group, (text, members) in _EXPERIMENTS.items():
+        parser_of_group = commands.add_parser(group, help=text, description=text)
+        subjects = parser_of_group.add_subparsers(required=True, metavar="SUBJECT", parser_class=_ExperimentParser)
+        for name, (module, what) in members.items():
+            subjects.add_parser(name, help=what, description=what, module=module)
 
     bag = add("bag", _bag_check, "check or salvage a bag")
     actions = bag.add_subparsers(required=True, metavar="ACTION")

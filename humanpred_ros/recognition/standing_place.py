@@ -84,8 +84,11 @@ class PlaceTracker:
         return bool(self.p.any())
 
     def start(self) -> None:
-        """A new motion begins; where the last ones began is remembered."""
-        if self._seen:
+        """A new motion begins; where the last ones began is remembered.
+
+        What ended before it had well begun does not count: on a stream, that is every posture at rest.
+        """
+        if len(self._seen) == _N_START:
             now = _typical(self._seen)
             if self._starts and not self.place.holds(now, _typical(list(self._starts))):
                 self._starts.clear()

@@ -68,6 +68,17 @@ def test_whoever_walks_on_is_not_mixed_with_where_he_was() -> None:
     np.testing.assert_allclose(tracker.R, R, atol=1e-12)
 
 
+def test_postures_at_rest_do_not_crowd_out_motions() -> None:
+    tracker = PlaceTracker(PLACE)
+    for _ in range(10):
+        observed(tracker, 3.0, 0.0, 0.5)
+    for _ in range(200):
+        tracker.start()
+        tracker.update(pelvis(3.1, 0.1, 0.6))
+    observed(tracker, 3.0, 0.0, 0.5)
+    np.testing.assert_allclose(tracker.p, PLACE.alignment(np.array([3.0, 0.0, 0.5]))[1], atol=1e-12)
+
+
 def test_only_the_first_postures_count() -> None:
     tracker = PlaceTracker(PLACE)
     observed(tracker, 1.0, 2.0, 3.1)
