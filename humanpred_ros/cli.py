@@ -191,6 +191,10 @@ _EXPERIMENTS = {
             "occupancy": ("occupancy_command", "predicted occupancy against the voxels really swept"),
         },
     ),
+    "bench": (
+        "measure how long things take",
+        {"predictor": ("predictor_bench_command", "microseconds per posture, what they grow with, and over DDS")},
+    ),
 }
 
 

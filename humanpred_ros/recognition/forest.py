@@ -98,9 +98,9 @@ def grow_tree(x: Float32Array, label: NDArray[np.intp], seed: int, config: Fores
     """
     from sklearn.tree import ExtraTreeClassifier  # takes half a second to import; only training needs it
 
-    grown = ExtraTreeClassifier(
-        min_samples_leaf=config.min_samples_leaf, max_features="sqrt", random_state=seed
-    ).fit(x, label)
+    grown = ExtraTreeClassifier(min_samples_leaf=config.min_samples_leaf, max_features="sqrt", random_state=seed).fit(
+        np.ascontiguousarray(x, dtype=np.float32), label.astype(np.float64), check_input=False
+    )
     nodes = grown.tree_
     leaf = nodes.children_left < 0
     return Tree(

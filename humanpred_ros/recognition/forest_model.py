@@ -18,7 +18,7 @@ from humanpred_ros.recognition.calibration import Calibration
 from humanpred_ros.recognition.class_mixtures import check_trainable
 from humanpred_ros.recognition.forest import Forest, IntArray, Tree, grow_tree
 from humanpred_ros.recognition.forest_config import ForestConfig
-from humanpred_ros.recognition.novelty import Novelty
+from humanpred_ros.recognition.novelty import Novelty, distances_without, motion_distances
 from humanpred_ros.recognition.reach_features import (
     N_FEATURES,
     REACHED,
@@ -131,6 +131,11 @@ class ForestModel:
     place: StandingPlace
 
     @cached_property
+    def motion_distances(self) -> Float32Array:
+        """Distances between the exemplars' motions (`novelty.motion_distances`)."""
+        return motion_distances(self.exemplars.features, self.exemplars.first)
+
+    @cached_property
     def leaf_members(self) -> tuple[NDArray[np.int64], IntArray]:
         """Which exemplar postures fall into which leaf: (n_nodes + 1,) where each node's begin, and their numbers.
 
@@ -168,7 +173,8 @@ def refit_without(model: ForestModel, name: str) -> ForestModel:
     trees = [
         _grow(exemplars, learned[:, b], b, config) if changed[b] else tree for b, tree in enumerate(model.trees)
     ]
-    return _finished(model.labels, exemplars, trees, config)
+    distances = distances_without(model.motion_distances, model.exemplars.first, k)
+    return _finished(model.labels, exemplars, trees, config, distances)
 
 
 def drawn_motions(names: tuple[str, ...], config: ForestConfig) -> NDArray[np.bool_]:
@@ -200,20 +206,26 @@ def joined(labels: tuple[int, ...], exemplars: Exemplars, trees: Sequence[Tree],
     return Forest.of_trees(trees, exemplars.features, exemplars.label[exemplars.motion], learned, len(labels))
 
 
-def _finished(labels: tuple[int, ...], exemplars: Exemplars, trees: list[Tree], config: ForestConfig) -> ForestModel:
+def _finished(
+    labels: tuple[int, ...],
+    exemplars: Exemplars,
+    trees: list[Tree],
+    config: ForestConfig,
+    distances: Float32Array | None = None,
+) -> ForestModel:
     forest = joined(labels, exemplars, trees, config)
     label = exemplars.label[exemplars.motion]
     learned = drawn_motions(exemplars.names, config)[exemplars.motion]
-    every_other = slice(None, None, 2)  # neighbours say the same; calibration has five parameters
-    votes = forest.vote(forest.sample_leaves[every_other], ~learned[every_other])
-    reached_m = exemplars.features[every_other, REACHED].astype(np.float64)
+    some = slice(None, None, 4)  # neighbours say the same, and calibration has five parameters
+    votes = forest.vote(forest.sample_leaves[some], ~learned[some])
+    reached_m = exemplars.features[some, REACHED].astype(np.float64)
     return ForestModel(
         config,
         labels,
         exemplars,
         tuple(trees),
         forest,
-        Calibration.fit(votes, reached_m, label[every_other]),
-        Novelty.fit(exemplars.features, exemplars.first, exemplars.label),
+        Calibration.fit(votes, reached_m, label[some]),
+        Novelty.fit(exemplars.features, exemplars.first, exemplars.label, distances),
         StandingPlace.of_starts(exemplars.start_pose),
     )

@@ -21,8 +21,8 @@ class GmmConfig:
     Attributes:
         n_components: Gaussians per class; 40 as in the published models, P1's text states 20.
         phase_feature: let the frame number be a feature beside the posture, unscaled, as P1 does.
-        unwrap_angles: make every angle of a motion continuous from its first posture on, offline and online. The
-            papers' recordings were used as they came, with jumps of a whole turn (facts 1).
+        unwrap_angles: make every angle of a motion continuous from its first posture on, offline and online. Off, as
+            the authors used their recordings as they came, jumps of a whole turn included (facts 1, 3).
         covariance_floor: added to the diagonal of every covariance.
         n_phase_frames: postures a motion is resampled to; phases run from 0 to n_phase_frames - 1.
         seed: of the k-means seeds; each class draws from its own stream.
@@ -42,7 +42,7 @@ class GmmConfig:
 
     n_components: int = MixtureConfig.n_components
     phase_feature: bool = True
-    unwrap_angles: bool = True
+    unwrap_angles: bool = False
     covariance_floor: float = MixtureConfig.covariance_floor
     n_phase_frames: int = 100
     seed: int = 0

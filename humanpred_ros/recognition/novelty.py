@@ -54,11 +54,20 @@ class Novelty:
         return ratio
 
     @classmethod
-    def fit(cls, features: Float32Array, first: NDArray[np.int64], label: NDArray[np.intp]) -> Novelty:
-        """Learn from features (M, F) of K motions that begin at `first` (K + 1,), of the classes `label` (K,)."""
+    def fit(
+        cls,
+        features: Float32Array,
+        first: NDArray[np.int64],
+        label: NDArray[np.intp],
+        distances: Float32Array | None = None,
+    ) -> Novelty:
+        """Learn from features (M, F) of K motions that begin at `first` (K + 1,), of the classes `label` (K,).
+
+        `distances` are `motion_distances` of these, if they are known already.
+        """
         points = np.ascontiguousarray(features[:, COLUMNS])
-        asked = np.arange(0, len(points), 2)  # four weights need no more
-        nearest = _nearest(points[asked], np.ascontiguousarray(points.T), first)
+        nearest = motion_distances(features, first) if distances is None else distances
+        asked = _asked(first)
         motion = np.repeat(np.arange(len(label)), np.diff(first))[asked]
         own = motion[:, None] == np.arange(len(label))
         own_class = label[motion][:, None] == label
@@ -66,6 +75,29 @@ class Novelty:
         known = _inputs(_second_smallest(nearest, own), reached)
         unknown = _inputs(_second_smallest(nearest, own_class), reached)
         return cls(points, first, _logistic_weights(known, unknown))
+
+
+def motion_distances(features: Float32Array, first: NDArray[np.int64]) -> Float32Array:
+    """Return (N, K) the distances of every other posture of each motion from each motion: what `Novelty.fit` needs.
+
+    They take most of its time, and leaving a motion out only takes away its rows and its column.
+    """
+    points = np.ascontiguousarray(features[:, COLUMNS])
+    return _nearest(points[_asked(first)], np.ascontiguousarray(points.T), first)
+
+
+def distances_without(distances: Float32Array, first: NDArray[np.int64], k: int) -> Float32Array:
+    """Return `motion_distances` without motion `k`, from those with it."""
+    motion = np.repeat(np.arange(len(first) - 1), np.diff(first))[_asked(first)]
+    kept: Float32Array = np.delete(distances[motion != k], k, axis=1)
+    return kept
+
+
+def _asked(first: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return (M,) every other posture of each motion: four weights need no more."""
+    number = np.arange(first[-1]) - np.repeat(first[:-1], np.diff(first))
+    every_other: NDArray[np.bool_] = number % 2 == 0
+    return every_other
 
 
 def _logistic_weights(known: FloatArray, unknown: FloatArray) -> FloatArray:

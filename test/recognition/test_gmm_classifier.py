@@ -24,7 +24,7 @@ from humanpred_ros.recognition.registry import CLASSIFIERS, make_classifier
 
 @cache
 def fitted(phase_feature: bool = True) -> GmmClassifier:
-    config = GmmConfig(n_components=5, phase_feature=phase_feature, max_iterations=30)
+    config = GmmConfig(n_components=5, phase_feature=phase_feature, max_iterations=30, unwrap_angles=True)
     return GmmClassifier(config).fit(small_library(3, 6, 100))
 
 

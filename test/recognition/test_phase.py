@@ -29,12 +29,10 @@ def test_phase_is_clipped_where_a_motion_outlasts_what_is_expected() -> None:
     np.testing.assert_allclose(phase_frames(np.array([0.0, 1.0, 2.0, 9.0]), 2.0, 100), [0.0, 49.5, 99.0, 99.0])
 
 
-def test_angles_are_unwrapped_unless_told_not_to() -> None:
+def test_angles_are_unwrapped_on_request() -> None:
     motion = small_library(1, 1, 100).motions[0]
     wrapped = motion.q.copy()
     wrapped[60:, DOF_NAMES.index("rShoulderY")] -= 2 * np.pi
     jumping = motion.with_postures(wrapped)
-    np.testing.assert_allclose(training_samples(jumping, GmmConfig())[:, 1:], motion.q, atol=1e-12)
-    np.testing.assert_array_equal(
-        training_samples(jumping, GmmConfig(unwrap_angles=False, phase_feature=False)), wrapped
-    )
+    np.testing.assert_allclose(training_samples(jumping, GmmConfig(unwrap_angles=True))[:, 1:], motion.q, atol=1e-12)
+    np.testing.assert_array_equal(training_samples(jumping, GmmConfig(phase_feature=False)), wrapped)
