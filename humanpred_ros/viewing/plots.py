@@ -50,7 +50,9 @@ def draw_plots(
         (
             "posterior",
             "What the human is believed to do",
-            "Probability of each class of reach given the part of the motion seen so far.",
+            "Probability of each class of reach given the part of the motion seen so far; hatched, if the classifier "
+            "considers it, the probability that the motion belongs to none of them. Where all are equal, the human is "
+            "taken to be at rest.",
             lambda: posterior_plot(run, summary, colours),
         ),
         (

@@ -19,6 +19,7 @@ from humanpred_ros.viewing.figures import (
     MARKERS,
     MUTED,
     SERIES,
+    WASH,
     class_style,
     empty_figure,
     new_figure,
@@ -49,6 +50,13 @@ def posterior_plot(run: Run, summary: RunSummary, colours: Mapping[str, str]) ->
         true = summary.recognised is not None and summary.recognised.true_class == label
         style = class_style(k) | ({"linewidth": 2.6} if true else {})
         axes.plot(track.t_s, column, drawstyle="steps-post", label=f"class {label}{' (true)' * true}", **style)
+    if track.unknown.any():
+        # An area, where the classes are lines: it is what they leave.
+        axes.fill_between(
+            track.t_s, track.unknown, step="post", facecolor=WASH, edgecolor=MUTED, hatch="////", linewidth=0.0,
+            label="no known class", zorder=1.1,
+        )  # fmt: skip
+        axes.plot(track.t_s, track.unknown, drawstyle="steps-post", color=INK, linewidth=1.1, zorder=1.2)
     if hidden:
         axes.plot([], [], color="none", label=f"never above {_NEVER_LIKELY:.0%}:\n{', '.join(hidden)}")
     axes.set_ylim(-0.02, 1.02)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
@@ -15,16 +16,20 @@ from markupsafe import Markup
 from humanpred_ros import __version__
 from humanpred_ros.errors import UsageError
 from humanpred_ros.viewing.clearance import measure_clearance
-from humanpred_ros.viewing.figures import goal_colours
+from humanpred_ros.viewing.figures import goal_colours, report_style, svg_of
 from humanpred_ros.viewing.plots import draw_plots
+from humanpred_ros.viewing.plots_reliability import reliability_plot
+from humanpred_ros.viewing.reliability import MOVING
 from humanpred_ros.viewing.run import Run
-from humanpred_ros.viewing.run_summary import LatencyFigures, RunSummary
+from humanpred_ros.viewing.run_summary import Belief, LatencyFigures, OccupancyCalibration, RunSummary
 from humanpred_ros.viewing.workcell import load_workcell
 
 _TEMPLATES = Path(__file__).resolve().parent / "templates"
 _TEMPLATE = "report.html.j2"
 #: Facts that are shown in the head of the report; all facts are in its last part.
 _HEAD_FACTS = ("scene", "library", "trajectory", "mode", "predictor", "seed")
+#: Values side by side in one tile.
+_MOST_LISTED = 3
 #: Recorded options of `humanpred demo`, as they are spelt on its command line.
 _OPTIONS = ("scene", "library", "trajectory", "predictor", "evidence", "window-frames", "hold-out", "seed")
 
@@ -64,6 +69,8 @@ def render_report(run: Run, summary: RunSummary) -> str:
     """Return the report as HTML text."""
     workcell = load_workcell(run)
     plots = draw_plots(run, summary, workcell, measure_clearance(run, workcell))
+    with report_style():
+        reliability = svg_of(reliability_plot(summary.calibration), "reliability") if summary.calibration else ""
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATES),
         autoescape=True,
@@ -79,6 +86,8 @@ def render_report(run: Run, summary: RunSummary) -> str:
         figures=key_figures(summary),
         head_facts=[(name, run.facts[name]) for name in _HEAD_FACTS if name in run.facts],
         plots=[(plot, Markup(plot.svg)) for plot in plots],
+        reliability=Markup(reliability),
+        calibration=_calibration_rows(summary),
         decisions=list(zip(summary.steps, run.steps, strict=True)),
         reasons=any(step.reason for step in run.steps),
         terms=tuple(dict.fromkeys(name for step in run.steps for goal in step.goals for name in goal.terms)),
@@ -110,7 +119,11 @@ def key_figures(summary: RunSummary) -> list[KeyFigure]:
     else:
         figures.append(KeyFigure("closest to human", "–", "not known"))
     figures.append(_switch_figure(summary))
-    figures += [_recognition_figure(summary), _steps_figure(summary)]
+    figures.append(_recognition_figure(summary))
+    if any(belief.unknown_max > 0.0 for belief in summary.beliefs):
+        figures.append(_unknown_figure(summary.beliefs))
+    figures += [_calibration_figure(part) for name, part in summary.calibration.items() if name == MOVING]
+    figures.append(_steps_figure(summary))
     for name, latency in summary.latency.items():
         figures.append(_latency_figure(name, latency))
     figures.append(_latency_figure("planning one step", summary.planning))
@@ -155,14 +168,60 @@ def _switch_figure(summary: RunSummary) -> KeyFigure:
 
 
 def _recognition_figure(summary: RunSummary) -> KeyFigure:
-    recognised = summary.recognised
+    recognised, beliefs = summary.recognised, summary.beliefs
+    if recognised is None and beliefs:
+        found = ["none" if belief.rather_unknown else f"class {belief.best_class}" for belief in beliefs]
+        remark = f"most probable {_at_the_end(beliefs)}; the true class is not known"
+        return KeyFigure("reach recognised", _listed(found), remark)
     if recognised is None:
-        return KeyFigure("reach recognised", "–", "the true class or the posterior is not known")
+        return KeyFigure("reach recognised", "–", "no posterior was recorded that tells classes apart")
     if recognised.t_s is None:
         return KeyFigure("reach recognised", "no", f"true class {recognised.true_class}", alarming=True)
     share = f"{recognised.t_s:.2f} s" if recognised.percent is None else f"at {recognised.percent:.0f} %"
     remark = f"class {recognised.true_class}, most probable from {recognised.t_s:.2f} s on"
     return KeyFigure("reach recognised", share, remark)
+
+
+def _unknown_figure(beliefs: Sequence[Belief]) -> KeyFigure:
+    most = max(beliefs, key=lambda belief: belief.unknown_max)
+    return KeyFigure(
+        "probability of no known class",
+        _listed([f"{100.0 * belief.unknown:.0f} %" for belief in beliefs]),
+        f"{_at_the_end(beliefs)}; at most {100.0 * most.unknown_max:.0f} % at {most.unknown_max_s:.2f} s",
+        alarming=any(belief.rather_unknown for belief in beliefs),
+    )
+
+
+def _at_the_end(beliefs: Sequence[Belief]) -> str:
+    return "at the end of the movement" if len(beliefs) == 1 else f"at the end of each of {len(beliefs)} movements"
+
+
+def _listed(texts: Sequence[str]) -> str:
+    """Return values as a list that fits a tile."""
+    return ", ".join(texts[:_MOST_LISTED]) + (", …" if len(texts) > _MOST_LISTED else "")
+
+
+def _calibration_figure(part: OccupancyCalibration) -> KeyFigure:
+    missed = "nothing was swept" if part.missed is None else f"{100.0 * part.missed:.1f} % of the swept voxels missed"
+    return KeyFigure(
+        "calibration error of the occupancy",
+        "–" if part.error is None else f"{part.error:.2f}",
+        f"mean of |predicted – observed|; {missed}",
+    )
+
+
+def _calibration_rows(summary: RunSummary) -> list[tuple[str, list[str]]]:
+    """Return the lines of the calibration table: a title and one cell per part of the run."""
+    parts = summary.calibration.values()
+    return [
+        ("occupancies compared", [str(part.occupancies) for part in parts]),
+        ("calibration error", [_number(part.error, 3) for part in parts]),
+        ("swept voxels given less than 1 %", [_percent(part.missed, 1) for part in parts]),
+        ("voxels expected (sum of probabilities)", [_number(part.expected_voxels, 0) for part in parts]),
+        ("voxels really swept", [_number(part.swept_voxels, 0) for part in parts]),
+        ("squared error, in voxels", [_number(part.squared_error, 0) for part in parts]),
+        ("the same with the current posture only", [_number(part.squared_error_current, 0) for part in parts]),
+    ]
 
 
 def _steps_figure(summary: RunSummary) -> KeyFigure:
@@ -194,6 +253,10 @@ def _recorded(run: Run) -> str:
 def _number(value: float | None, digits: int = 2, unit: str = "") -> str:
     """Return a number for people; a dash where there is none."""
     return "–" if value is None or value != value else f"{value:.{digits}f}{unit}"
+
+
+def _percent(value: float | None, digits: int = 0) -> str:
+    return _number(None if value is None else 100.0 * value, digits, " %")
 
 
 def _cost(value: float | None) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -19,7 +19,7 @@ from humanpred_ros.recording.metadata import TopicInfo
 from humanpred_ros.recording.reader import BagReader
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
 from humanpred_ros.viewing import run_topics as topics
-from humanpred_ros.viewing.topic_loader import Entry, RunClock, TopicLoader
+from humanpred_ros.viewing.topic_loader import Entry, EvenSample, RunClock, TopicLoader
 from humanpred_ros.viewing.tracks import (
     Latency,
     OccupancySnapshot,
@@ -35,6 +35,10 @@ from humanpred_ros.viewing.tracks import (
 POSTURE_TO_OCCUPANCY = "posture to occupancy"
 POSTURE_TO_TRAJECTORY = "posture to trajectory"
 
+#: A reach seen up to here was seen whole: stamps of the last posture may round down.
+WHOLE_REACH_PERCENT = 99.0
+#: Occupancies kept for comparison with what happened: while the human moves, and at rest afterwards.
+_SAMPLES_MOVING, _SAMPLES_AT_REST = 60, 20
 #: The arm's joints that turn without end.
 _ENDLESS = ("r_forearm_roll_joint", "r_wrist_roll_joint")
 
@@ -85,6 +89,11 @@ class Run:
         """Names of the goals planned for, in the order of their first appearance."""
         return tuple(dict.fromkeys(goal.name for step in self.steps for goal in step.goals))
 
+    @property
+    def seen_percent(self) -> float | None:
+        """How much of the human's motion was recorded, 0 to 100, None if that is unknown."""
+        return self.percent(float(self.postures.t_s[-1])) if len(self.postures) else None
+
     def percent(self, t_s: float) -> float | None:
         """Return how much of the human's motion is over at `t_s`, 0 to 100, None if its length is unknown."""
         return float(np.clip(100.0 * t_s / self.motion_duration_s, 0.0, 100.0)) if self.motion_duration_s > 0 else None
@@ -105,25 +114,29 @@ def read_run(folder: str | Path) -> Run:
     load = TopicLoader(reader)
     human_topic = topics.posture_topic(reader.topics)
     human = load.stamped(human_topic, messages.JOINT_STATE)
+    facts = MappingProxyType(dict(reader.metadata.get("run", {})))
+    postures = _postures(human, load)
+    motion_duration_s = _motion_duration_s(facts, postures)
     decided = load.stamped(topics.DECISION, messages.DIAGNOSTIC_ARRAY, monotone=False)
     robot = load.stamped(topics.JOINT_STATES, messages.JOINT_STATE)
     sent = load.stamped(topics.TRAJECTORY, messages.JOINT_TRAJECTORY, monotone=False)
     goals = load.stamped(topics.HUMAN_GOALS, messages.POINT_CLOUD2)
-    wanted = {entry.stamp_ns for entry in decided if len(entry.message.status) > 1}
+    planned = {entry.stamp_ns for entry in decided if len(entry.message.status) > 1}
+    sample = EvenSample(_sample_times(human, motion_duration_s))
     occupied = load.stamped(
-        topics.OCCUPANCY, messages.POINT_CLOUD2, reduce=lambda stamp, message: _occupied(message, keep=stamp in wanted)
+        topics.OCCUPANCY,
+        messages.POINT_CLOUD2,
+        reduce=lambda stamp, message: _occupied(message, stamp in planned, sample.takes(stamp)),
     )
 
     firsts = [entries[0].stamp_ns for entries in (human, occupied, decided) if entries]
     origin_ns = firsts[0] if firsts else (robot[-1].stamp_ns if robot else 0)
     clock = RunClock(origin_ns)
-    postures = _postures(human, clock, load)
     first_occupancy_s = clock.seconds(occupied[0].stamp_ns if occupied else origin_ns)
     decisions = _numbered(
         [topics.decision_of(e.message, clock.seconds(e.stamp_ns), first_occupancy_s) for e in decided], load
     )
     robot_track = _robot(robot, clock)
-    facts = MappingProxyType(dict(reader.metadata.get("run", {})))
     lasts = [entries[-1].stamp_ns for entries in (human, occupied, decided, robot) if entries]
     return Run(
         folder=folder,
@@ -132,7 +145,7 @@ def read_run(folder: str | Path) -> Run:
         duration_s=max((clock.seconds(stamp) for stamp in lasts), default=0.0),
         recorded_ns=reader.start_ns or 0,
         wall_s=(reader.end_ns - reader.start_ns) * 1e-9 if reader.start_ns and reader.end_ns else 0.0,
-        motion_duration_s=_motion_duration_s(facts, postures),
+        motion_duration_s=motion_duration_s,
         postures=postures,
         posterior=_posterior(goals, clock),
         occupancy=_occupancy(occupied, load.grid(), clock),
@@ -152,16 +165,31 @@ def read_run(folder: str | Path) -> Run:
 class _Occupied(NamedTuple):
     n_voxels: int
     expected_voxels: float
+    planned: bool
+    sampled: bool
     cloud: tuple[FloatArray, FloatArray] | None
 
 
-def _occupied(message: Any, *, keep: bool) -> _Occupied:
+def _occupied(message: Any, planned: bool, sampled: bool) -> _Occupied:
     """Reduce a cloud to what plots need; whole clouds are kept only where asked, they are large."""
     centres, probability = topics.occupancy_of(message)
-    return _Occupied(len(probability), float(probability.sum()), (centres, probability) if keep else None)
+    cloud = (centres, probability) if planned or sampled else None
+    return _Occupied(len(probability), float(probability.sum()), planned, sampled, cloud)
 
 
-def _postures(entries: list[Entry], clock: RunClock, load: TopicLoader) -> PostureTrack:
+def _sample_times(human: list[Entry], motion_s: float) -> list[int]:
+    """Return the stamps from which on the next occupancy is worth keeping, none without postures."""
+    if not human:
+        return []
+    first_ns, last_ns = human[0].stamp_ns, human[-1].stamp_ns
+    end_ns = min(last_ns, first_ns + round(motion_s * 1e9))
+    moving = np.linspace(0, end_ns - first_ns, _SAMPLES_MOVING, endpoint=False)
+    resting = np.linspace(end_ns - first_ns, last_ns - first_ns, _SAMPLES_AT_REST)
+    return [first_ns + round(after_ns) for after_ns in np.concatenate([moving, resting]).tolist()]
+
+
+def _postures(entries: list[Entry], load: TopicLoader) -> PostureTrack:
+    clock = RunClock(entries[0].stamp_ns if entries else 0)  # a run begins with its first posture
     names = tuple(entries[0].message.name) if entries else ()
     rows = [(entry, topics.positions_of(entry.message, names)) for entry in entries]
     usable = [(entry, row[0]) for entry, row in rows if row is not None]
@@ -201,16 +229,21 @@ def _posterior(entries: list[Entry], clock: RunClock) -> PosteriorTrack:
 
 def _occupancy(entries: list[Entry], grid: VoxelGrid | None, clock: RunClock) -> OccupancyTrack:
     times = clock.times(entries)
+
+    def kept(which: Callable[[_Occupied], bool]) -> tuple[OccupancySnapshot, ...]:
+        return tuple(
+            OccupancySnapshot(float(t), *entry.message.cloud)
+            for t, entry in zip(times, entries, strict=True)
+            if which(entry.message)
+        )
+
     return OccupancyTrack(
         times,
         np.array([entry.message.n_voxels for entry in entries], dtype=np.int64),
         np.array([entry.message.expected_voxels for entry in entries], dtype=np.float64),
         grid,
-        tuple(
-            OccupancySnapshot(float(t), *entry.message.cloud)
-            for t, entry in zip(times, entries, strict=True)
-            if entry.message.cloud is not None
-        ),
+        kept(lambda occupied: occupied.planned),
+        kept(lambda occupied: occupied.sampled),
     )
 
 

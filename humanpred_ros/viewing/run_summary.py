@@ -86,11 +86,90 @@ class Closest:
 
 @dataclass(frozen=True)
 class Recognised:
-    """Since when the true class has been the most probable one without interruption; None if it was not at the end."""
+    """Since when the true class was the most probable one up to the end of a movement; None if it never was so.
+
+    Of several movements the first such one counts: a recorded reach may come with its return.
+    """
 
     true_class: int
     t_s: float | None
     percent: float | None
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What a movement of the human was believed to be in the end: a classifier may find several, with rest between.
+
+    Attributes:
+        from_s, until_s: first and last posterior that tell classes apart.
+        best_class, probability: the most probable class at the end, and its probability.
+        since_s, since_percent: since when it was the most probable one up to then; share of the recorded motion over
+            by then.
+        unknown: probability at the end that the movement is of no class, 0 from classifiers that do not consider it.
+        unknown_max, unknown_max_s: its maximum over the movement, and when that was.
+    """
+
+    from_s: float
+    until_s: float
+    best_class: int
+    probability: float
+    since_s: float
+    since_percent: float | None
+    unknown: float
+    unknown_max: float
+    unknown_max_s: float
+
+    @property
+    def rather_unknown(self) -> bool:
+        """Whether no class at all is more probable than the most probable class."""
+        return self.unknown > self.probability
+
+
+@dataclass(frozen=True)
+class ReliabilityBin:
+    """Voxels whose predicted probability was at least `low` and less than `high`.
+
+    Attributes:
+        low, high: the last bin holds `high` = 1, too.
+        count: how many, over all occupancies compared.
+        probability: mean of what was predicted, None without voxels.
+        observed: share of them that came true, None without voxels.
+    """
+
+    low: float
+    high: float
+    count: int
+    probability: float | None
+    observed: float | None
+
+
+@dataclass(frozen=True)
+class OccupancyCalibration:
+    """Predicted occupancies beside the voxels the body really swept from then on.
+
+    Attributes:
+        occupancies: how many were compared.
+        voxels: voxels in `bins`, over all of them.
+        error: expected calibration error: mean over these voxels of |mean probability - observed share| of their
+            bin, None without any.
+        missed: share of the swept voxels that were given less than 1 %, None if nothing was swept.
+        expected_voxels, swept_voxels: sum of the probabilities, and voxels really swept; means per occupancy.
+        squared_error: sum over voxels of (p - y)^2, mean per occupancy (divided by the grid's size: Brier score).
+        squared_error_current: the same of the baseline that predicts the current posture only.
+        squared_error_ratio: the one over the other, None where the baseline made no error.
+        bins: reliability table.
+    """
+
+    occupancies: int
+    voxels: int
+    error: float | None
+    missed: float | None
+    expected_voxels: float
+    swept_voxels: float
+    squared_error: float
+    squared_error_current: float
+    squared_error_ratio: float | None
+    bins: tuple[ReliabilityBin, ...]
 
 
 @dataclass(frozen=True)
@@ -125,6 +204,8 @@ class RunSummary:
         missed: number of replanning steps that came too late.
         closest: over the whole run, None if it could not be evaluated.
         recognised: how early the human's motion was recognised, None if its true class is not known.
+        beliefs: what each movement was taken for, in time order; none without a posterior.
+        calibration: whether the predicted occupancy came true, by part of the run; empty if that cannot be told.
         latency: by name.
         planning: wall time of one replanning step.
         reached: None if the arm did not end at a goal.
@@ -145,6 +226,8 @@ class RunSummary:
     missed: int
     closest: Closest | None
     recognised: Recognised | None
+    beliefs: tuple[Belief, ...]
+    calibration: Mapping[str, OccupancyCalibration]
     latency: Mapping[str, LatencyFigures]
     planning: LatencyFigures
     reached: Reached | None

@@ -10,8 +10,10 @@ import numpy as np
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.viewing.clearance import Clearance, measure_clearance
-from humanpred_ros.viewing.run import Run
+from humanpred_ros.viewing.reliability import measure_calibration
+from humanpred_ros.viewing.run import WHOLE_REACH_PERCENT, Run
 from humanpred_ros.viewing.run_summary import (
+    Belief,
     Closest,
     Hold,
     LatencyFigures,
@@ -27,8 +29,8 @@ from humanpred_ros.viewing.workcell import Workcell, load_workcell
 
 #: Largest joint error at which a goal counts as reached.
 GOAL_TOLERANCE_RAD = 0.02
-#: A reach seen up to here was seen whole: stamps of the last posture may round down.
-_WHOLE_REACH_PERCENT = 99.0
+#: Stamps of the last posture of the reach may round up.
+_STAMP_TOLERANCE_S = 1e-6
 
 
 def summarise(run: Run, workcell: Workcell | None = None, clearance: Clearance | None = None) -> RunSummary:
@@ -41,6 +43,7 @@ def summarise(run: Run, workcell: Workcell | None = None, clearance: Clearance |
     """
     workcell = workcell or load_workcell(run)
     clearance = clearance or measure_clearance(run, workcell)
+    calibration = measure_calibration(run, workcell)
     reached = _reached(run.robot, workcell)
     steps = _steps(run)
     return RunSummary(
@@ -56,6 +59,8 @@ def summarise(run: Run, workcell: Workcell | None = None, clearance: Clearance |
         missed=sum(step.missed for step in steps),
         closest=_closest(run, clearance),
         recognised=_recognised(run),
+        beliefs=tuple(_belief(run, movement) for movement in _movements(run)),
+        calibration=calibration.parts,
         latency={latency.name: _figures(latency.delay_s) for latency in run.latencies},
         planning=_figures(np.array([step.compute_s for step in run.steps])),
         reached=reached,
@@ -67,7 +72,7 @@ def summarise(run: Run, workcell: Workcell | None = None, clearance: Clearance |
             "trajectories": len(run.trajectories),
             "robot states": len(run.robot),
         },
-        notes=(*run.notes, *workcell.notes),
+        notes=(*run.notes, *workcell.notes, *calibration.notes),
     )
 
 
@@ -151,12 +156,42 @@ def _recognised(run: Run) -> Recognised | None:
     if found is None or not len(run.posterior) or int(found[1]) not in run.posterior.labels:
         return None
     column = run.posterior.labels.index(int(found[1]))
-    wrong = np.flatnonzero(run.posterior.probability.argmax(axis=1) != column)
-    since = int(wrong[-1]) + 1 if len(wrong) else 0
-    if since == len(run.posterior):
-        return Recognised(int(found[1]), None, None)
-    t_s = float(run.posterior.t_s[since])
-    return Recognised(int(found[1]), t_s, run.percent(t_s))
+    for movement in _movements(run):
+        since = _most_probable_since(run, movement, column)
+        if since < movement.stop:
+            t_s = float(run.posterior.t_s[since])
+            return Recognised(int(found[1]), t_s, run.percent(t_s))
+    return Recognised(int(found[1]), None, None)
+
+
+def _belief(run: Run, movement: slice) -> Belief:
+    """Return what the human was believed to do at the end of a movement."""
+    track, last = run.posterior, movement.stop - 1
+    best, unknown = int(track.probability[last].argmax()), track.unknown[movement]
+    since_s = float(track.t_s[_most_probable_since(run, movement, best)])
+    return Belief(
+        from_s=float(track.t_s[movement.start]),
+        until_s=float(track.t_s[last]),
+        best_class=track.labels[best],
+        probability=float(track.probability[last, best]),
+        since_s=since_s,
+        since_percent=run.percent(since_s),
+        unknown=float(unknown[-1]),
+        unknown_max=float(unknown.max()),
+        unknown_max_s=float(track.t_s[movement][unknown.argmax()]),
+    )
+
+
+def _movements(run: Run) -> tuple[slice, ...]:
+    """Return the movements to be recognised: of a person at rest after the recorded one nothing is."""
+    moving_s = run.motion_duration_s + _STAMP_TOLERANCE_S if run.motion_duration_s > 0.0 else np.inf
+    return run.posterior.movements(moving_s)
+
+
+def _most_probable_since(run: Run, movement: slice, column: int) -> int:
+    """Return from which posterior of a movement on a class was the most probable one; its `stop` if not in the end."""
+    other = np.flatnonzero(run.posterior.probability[movement].argmax(axis=1) != column)
+    return int(movement.start) + (int(other[-1]) + 1 if len(other) else 0)
 
 
 def _figures(delay_s: FloatArray) -> LatencyFigures:
@@ -197,8 +232,8 @@ def _outcome(run: Run, reached: Reached | None) -> str:
         return "The planner made no decision."
     if any(decision.action == "arrived" for decision in run.decisions):
         return "The planner reports arrival; the recorded configurations do not confirm a goal."
-    seen = run.percent(float(run.postures.t_s[-1])) if len(run.postures) else None
-    if seen is not None and seen < _WHOLE_REACH_PERCENT:
+    seen = run.seen_percent
+    if seen is not None and seen < WHOLE_REACH_PERCENT:
         return f"The run was interrupted after {seen:.0f} % of the reach, before the arm reached a goal."
     return "The run ended before the arm reached a goal."
 

@@ -7,7 +7,17 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from humanpred_ros.viewing.run_summary import LatencyFigures, Recognised, RunSummary, StepRow
+from humanpred_ros.viewing.run_summary import (
+    Belief,
+    LatencyFigures,
+    OccupancyCalibration,
+    Recognised,
+    RunSummary,
+    StepRow,
+)
+
+#: Movements listed; a long stream has many.
+_MOST_MOVEMENTS = 6
 
 
 def print_summary(summary: RunSummary, console: Console) -> None:
@@ -64,6 +74,12 @@ def _figures_table(summary: RunSummary) -> Table:
         table.add_row("closest to human", f"[red]{text}[/red]" if closest.distance_m <= 0.0 else text)
     if summary.recognised is not None:
         table.add_row("recognised", recognition_text(summary.recognised))
+    for belief in summary.beliefs[:_MOST_MOVEMENTS]:
+        table.add_row("movement", belief_text(belief))
+    if len(summary.beliefs) > _MOST_MOVEMENTS:
+        table.add_row("", f"and {len(summary.beliefs) - _MOST_MOVEMENTS} more")
+    for name, part in summary.calibration.items():
+        table.add_row(f"occupancy, {name}", calibration_text(part))
     for name, latency in summary.latency.items():
         table.add_row(name, _latency(latency))
     table.add_row("planning one step", _latency(summary.planning))
@@ -82,6 +98,26 @@ def recognition_text(recognised: Recognised) -> str:
         return f"class {recognised.true_class} not recognised"
     share = "" if recognised.percent is None else f", {recognised.percent:.0f} % of the reach"
     return f"class {recognised.true_class} from {recognised.t_s:.2f} s on{share}"
+
+
+def belief_text(belief: Belief) -> str:
+    """Return what a movement was believed to be, in words."""
+    share = "" if belief.since_percent is None else f", {belief.since_percent:.0f} % of the reach"
+    text = f"class {belief.best_class} (p = {belief.probability:.2f}), likeliest from {belief.since_s:.2f} s on{share}"
+    if belief.unknown_max > 0.0:
+        text += f"; no known class p = {belief.unknown:.2f}, at most {belief.unknown_max:.2f}"
+    rather = "rather no known class, of those " if belief.rather_unknown else ""
+    return f"{belief.from_s:.2f} to {belief.until_s:.2f} s: {rather}{text}"
+
+
+def calibration_text(part: OccupancyCalibration) -> str:
+    """Return whether the predicted occupancy came true, in words."""
+    texts = [
+        "" if part.error is None else f"calibration error {part.error:.2f}",
+        "" if part.missed is None else f"{100.0 * part.missed:.1f} % of swept voxels missed",
+        "" if part.squared_error_ratio is None else f"squared error {part.squared_error_ratio:.2f} x current posture's",
+    ]
+    return ", ".join(text for text in texts if text) + f" (n = {part.occupancies})"
 
 
 def _latency(latency: LatencyFigures) -> str:

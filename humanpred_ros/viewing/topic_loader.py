@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -35,6 +36,23 @@ class RunClock:
     def times(self, entries: Iterable[Entry]) -> FloatArray:
         """Return the run times (N,) of entries."""
         return np.array([self.seconds(entry.stamp_ns) for entry in entries], dtype=np.float64)
+
+
+class EvenSample:
+    """Picks, of messages that come with rising stamps, those that lie evenly in time: the first one at every due time.
+
+    Clouds are large, so which are kept must be known before they are read.
+    """
+
+    def __init__(self, due_ns: Iterable[int]) -> None:
+        self._due_ns = sorted(due_ns)
+        self._n_past = 0
+
+    def takes(self, stamp_ns: int) -> bool:
+        """Return whether the message with this stamp is one of them; ask for each once, in order."""
+        n_past = bisect_right(self._due_ns, stamp_ns)
+        taken, self._n_past = n_past > self._n_past, n_past
+        return taken
 
 
 class TopicLoader:

@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.occupancy.grid import VoxelGrid
 
+#: Probabilities travel as float32; what their sum lacks of 1 by rounding is far less than this.
+_ROUNDING = 1e-6
+
 
 @dataclass(frozen=True)
 class PostureTrack:
@@ -49,7 +52,7 @@ class PosteriorTrack:
     Attributes:
         t_s: (T,) strictly increasing.
         labels: C class labels.
-        probability: (T, C).
+        probability: (T, C); each row sums to 1 less the probability that the motion is of no class.
         goals_m: (C, 3) goal place of each class, world frame.
     """
 
@@ -61,10 +64,30 @@ class PosteriorTrack:
     def __len__(self) -> int:
         return len(self.t_s)
 
+    @property
+    def unknown(self) -> FloatArray:
+        """(T,) probability of no class; 0 where the classifier took it for granted that the motion is of one."""
+        rest = 1.0 - self.probability.sum(axis=1)
+        return np.where(rest > _ROUNDING, np.minimum(rest, 1.0), 0.0)
+
+    @property
+    def telling(self) -> NDArray[np.bool_]:
+        """(T,) whether it tells classes apart; of a person at rest a posterior is a prior that knows all as equal."""
+        if len(self.labels) < 2:
+            return np.ones(len(self), dtype=np.bool_)
+        told: NDArray[np.bool_] = np.ptp(self.probability, axis=1) > _ROUNDING
+        return told
+
+    def movements(self, until_s: float = np.inf) -> tuple[slice, ...]:
+        """Return the stretches of posteriors up to `until_s` that tell classes apart without interruption."""
+        told = self.telling & (self.t_s <= until_s)
+        edges = np.flatnonzero(np.diff(told, prepend=False, append=False)).tolist()
+        return tuple(slice(first, end) for first, end in zip(edges[::2], edges[1::2], strict=True))
+
     def at(self, t_s: float) -> tuple[int, float] | None:
-        """Return the most probable class and its probability by the last posterior up to `t_s`, None before any."""
+        """Return the most probable class and its probability by the last posterior up to `t_s`, None if none is."""
         k = int(np.searchsorted(self.t_s, t_s + 1e-9, side="right")) - 1
-        if k < 0:
+        if k < 0 or not self.telling[k]:
             return None
         best = int(np.argmax(self.probability[k]))
         return self.labels[best], float(self.probability[k, best])
@@ -89,6 +112,7 @@ class OccupancyTrack:
         expected_voxels: (T,) sum of their probabilities: the expected number of occupied voxels.
         grid: the voxel lattice, None if it was not recorded.
         snapshots: the occupancies that replanning steps were computed on, by time.
+        samples: some spread evenly over the human's motion, and some over the time after it, by time.
     """
 
     t_s: FloatArray
@@ -96,6 +120,7 @@ class OccupancyTrack:
     expected_voxels: FloatArray
     grid: VoxelGrid | None = None
     snapshots: tuple[OccupancySnapshot, ...] = ()
+    samples: tuple[OccupancySnapshot, ...] = ()
 
     def __len__(self) -> int:
         return len(self.t_s)

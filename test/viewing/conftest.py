@@ -44,6 +44,10 @@ class Script:
         occupancy_delay_s, trajectory_delay_s: wall time from sending a posture to sending the answers.
         full_turns: of the wrist roll, added to what the arm reports from 1 s on, as encoders do.
         nan_posture: number of a posture with a lost joint.
+        unknown: probability of no class at the end of the reach, twice as much half way there; the classes have the
+            rest.
+        foresight: predict exactly the voxels the body touches from then on, for sure.
+        occupancy_every: how many postures one occupancy is recorded for, as from a predictor that falls behind.
         facts: change the bag's run record; an empty value drops the fact.
         without: topics that are not recorded.
     """
@@ -58,6 +62,9 @@ class Script:
     trajectory_delay_s: float = 0.031
     full_turns: int = 0
     nan_posture: int | None = None
+    unknown: float = 0.0
+    foresight: bool = False
+    occupancy_every: int = 1
     origin_ns: int = 1_760_000_000_123_456_789
     facts: Mapping[str, str] = field(default_factory=dict)
     without: tuple[str, ...] = ()
@@ -159,6 +166,7 @@ def _answered_postures(
     """Return every posture with what predictor and planner answer to it, as (time of sending, topic, message)."""
     sent: list[tuple[int, str, Any]] = []
     postures = posture_at(np.minimum(times_s, POSTURE_S * (script.n_postures - 1)))
+    future = futures(postures, human, scene) if script.foresight else []
     step, last_due_s, chosen = 0, 0.0, ""
     for k, (t_s, q) in enumerate(zip(times_s.tolist(), postures, strict=True)):
         stamp = script.origin_ns + round(t_s * 1e9)
@@ -168,8 +176,10 @@ def _answered_postures(
         sent.append((stamp, "/humans/bodies/body_0/joint_states", posture))
         posterior = posterior_at(t_s / REACH_S)
         predicted = stamp + round(script.occupancy_delay_s * 1e9) + jitter_ns(k)
-        sent.append((predicted, "/human_occupancy", _cloud(stamp, swept, posterior)))
-        sent.append((predicted, "/human_goals", _goals(stamp, posterior)))
+        if k % script.occupancy_every == 0:
+            told = (future[k], np.ones(1)) if future else (swept, posterior)
+            sent.append((predicted, "/human_occupancy", _cloud(stamp, *told)))
+        sent.append((predicted, "/human_goals", _goals(stamp, posterior * (1.0 - unknown_at(t_s, script)))))
         decided = stamp + round(script.trajectory_delay_s * 1e9) + jitter_ns(k)
         values = {"step": "-1", "chosen": chosen, "previous": chosen, "switched": "false", "reason": ""}
         action, statuses = "keep", []
@@ -217,6 +227,23 @@ def posterior_at(phase: float) -> FloatArray:
     score[3], score[2], score[7] = 9.0 * phase, 5.0 * phase + 0.6 * np.sin(9 * phase), 3.0 * phase
     weight = np.exp(score)
     return np.asarray(weight / weight.sum())
+
+
+def unknown_at(t_s: float, script: Script) -> float:
+    """Return P(no class): up to twice `script.unknown` half way, and `script.unknown` from the reach's end on."""
+    half = REACH_S / 2.0
+    return script.unknown * float(np.interp(t_s, [0.0, half, REACH_S], [0.0, 2.0, 1.0]))
+
+
+def futures(postures: FloatArray, human: HumanModel, scene: Scene) -> list[Swept]:
+    """Return what the body touches in each of the postures (T, D) or any later one, as a single class would sweep it.
+
+    Surfaces are gone through point by point: the slow way, to compare the fast one with.
+    """
+    R, p = scene.T_world_human[:3, :3], scene.T_world_human[:3, 3]
+    masks = [scene.grid.mask_of(human.surface_points(q, 0.02) @ R.T + p).ravel() for q in postures]
+    swept = np.logical_or.accumulate(masks[::-1])[::-1]
+    return [(scene.grid.centres_m(np.flatnonzero(m)).astype(np.float32), np.ones((1, m.sum()))) for m in swept]
 
 
 def _goal(name: str, chosen: str, number: int) -> tuple[int, str, str, dict[str, str]]:

@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 from humanpred_ros.errors import UsageError
 from humanpred_ros.viewing.clearance import measure_clearance
 from humanpred_ros.viewing.figures import goal_colours, report_style, svg_of
-from humanpred_ros.viewing.plots_decisions import cost_terms_plot, goal_costs_plot
+from humanpred_ros.viewing.plots_decisions import cost_terms_plot, goal_costs_plot, posterior_plot
+from humanpred_ros.viewing.plots_reliability import reliability_plot
 from humanpred_ros.viewing.plots_space import snapshots_plot, top_view_plot
 from humanpred_ros.viewing.plots_time import occupancy_plot
 from humanpred_ros.viewing.report import key_figures, render_report, reproduce_command, write_report
@@ -92,7 +93,7 @@ def test_links_lead_somewhere_and_ids_are_unique(page: Page) -> None:
 
 def test_every_plot_is_well_formed_and_scales(text: str) -> None:
     plots = re.findall(r"<svg\b.*?</svg>", text, flags=re.DOTALL)
-    assert len(plots) == 9
+    assert len(plots) == 10
     for svg in plots:
         root = ElementTree.fromstring(svg)
         assert "viewBox" in root.attrib
@@ -167,6 +168,62 @@ def test_bad_news_is_marked(full_summary: RunSummary) -> None:
     touching = dataclasses.replace(full_summary.closest, distance_m=-0.01)
     worse = dataclasses.replace(full_summary, closest=touching, reached=None, peak_velocity=1.2)
     assert alarms(worse) == {"replanning steps", "closest to human", "goal reached", "fastest joint"}
+
+
+def test_probabilities_are_compared_with_what_happened(page: Page, full_summary: RunSummary) -> None:
+    assert "calibration" in page.ids
+    assert "humanpred evaluate occupancy" in page.words
+    part = full_summary.calibration["human moving"]
+    (tile,) = [figure for figure in key_figures(full_summary) if "calibration" in figure.name]
+    assert tile.value == f"{part.error:.2f}"
+    assert part.missed is not None
+    assert f"{100.0 * part.missed:.1f} % of the swept voxels" in tile.remark
+    for row in part.bins:
+        assert (f"{row.low:.2f} to {row.high:.2f}" in page.words) == (row.count > 0)
+        assert row.count == 0 or str(row.count) in page.words
+
+
+def test_without_occupancy_the_comparison_is_left_out_with_its_reason(
+    make_run: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("humanpred_ros.viewing.report.draw_plots", lambda *parts: ())  # slow, and tested above
+    run = read_run(make_run(without=("/human_occupancy",)))
+    page = Page(render_report(run, summarise(run)))
+    assert "calibration" not in page.ids
+    assert "no occupancy was recorded" in page.words
+    assert not any("calibration" in figure.name for figure in key_figures(summarise(run)))
+
+
+def test_probability_of_no_class_is_shown_where_there_is_any(make_run: Callable[..., Path], full: Run) -> None:
+    for run, shown in ((read_run(make_run(unknown=0.3, held=5)), True), (full, False)):
+        summary = summarise(run)
+        labels = posterior_plot(run, summary, COLOURS).axes[0].get_legend_handles_labels()[1]
+        assert ("no known class" in labels) == shown
+        tiles = [figure for figure in key_figures(summary) if "no known class" in figure.name]
+        assert [(tile.value, tile.alarming) for tile in tiles] == ([("30 %", False)] if shown else [])
+
+
+def test_a_motion_that_is_rather_of_no_class_is_bad_news(full_summary: RunSummary) -> None:
+    (first,) = full_summary.beliefs
+    second = dataclasses.replace(first, best_class=7, probability=0.3, unknown=0.6, unknown_max=0.7, unknown_max_s=1.2)
+    worse = dataclasses.replace(full_summary, beliefs=(first, second), recognised=None)
+    (tile,) = [figure for figure in key_figures(worse) if figure.name == "probability of no known class"]
+    assert (tile.value, tile.alarming) == ("0 %, 60 %", True)
+    assert "at most 70 % at 1.20 s" in tile.remark
+    (tile,) = [figure for figure in key_figures(worse) if figure.name == "reach recognised"]
+    assert tile.value == "class 3, none"
+    endless = dataclasses.replace(worse, beliefs=(second,) * 20)
+    assert {"none, none, none, …", "60 %, 60 %, 60 %, …"} <= {figure.value for figure in key_figures(endless)}
+
+
+def test_reliability_plot_survives_few_bins(full_summary: RunSummary) -> None:
+    part = full_summary.calibration["human moving"]
+    bins = tuple(dataclasses.replace(row, count=0, probability=None, observed=None) for row in part.bins)
+    empty = dataclasses.replace(part, bins=bins, voxels=0, error=None, missed=None)
+    single = dataclasses.replace(part, bins=(*bins[:-1], part.bins[-1]), voxels=part.bins[-1].count)
+    with report_style():
+        for calibration in ({"human moving": empty}, {"human moving": single, "another part": part}):
+            ElementTree.fromstring(svg_of(reliability_plot(calibration), "plot"))
 
 
 def test_plots_survive_costs_that_are_zero_missing_or_alone(full: Run) -> None:

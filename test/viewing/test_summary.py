@@ -180,6 +180,15 @@ def test_recognition_needs_the_true_class(full: Run, trajectory: str, found: str
         assert found in printed(summary)
 
 
+def test_summary_tells_whether_the_occupancy_came_true(full_summary: RunSummary) -> None:
+    content = json.loads(full_summary.to_json(), parse_constant=refuse)["calibration"]["human moving"]
+    part = full_summary.calibration["human moving"]
+    assert content["error"] == part.error
+    assert len(content["bins"]) == 10
+    assert sum(row["count"] for row in content["bins"]) == content["voxels"] == part.voxels > 0
+    assert f"calibration error {part.error:.2f}" in printed(full_summary)
+
+
 def test_peak_velocity_is_a_share_of_the_limit(full: Run, full_summary: RunSummary, scene: Scene) -> None:
     steps = np.abs(np.diff(full.robot.q, axis=0)) / 0.01 / scene.arm.chain.velocity_limit
     assert full_summary.peak_velocity == pytest.approx(steps.max(), rel=0.02)

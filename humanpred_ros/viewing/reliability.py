@@ -1,0 +1,180 @@
+"""Whether the predicted occupancy of a run came true: published probabilities beside what the recorded body then did.
+
+A voxel came true if the body touches it in the posture predicted from or in any recorded later, to the end of the
+recording: where the person stays counts like where the person went. Bins and scores are those of
+`humanpred evaluate occupancy`, so that one run can be read beside a whole library.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.occupancy.grid import VoxelGrid
+from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
+from humanpred_ros.viewing.run import WHOLE_REACH_PERCENT, Run
+from humanpred_ros.viewing.run_summary import OccupancyCalibration, ReliabilityBin
+from humanpred_ros.viewing.tracks import OccupancySnapshot
+from humanpred_ros.viewing.workcell import Workcell
+
+#: A swept voxel given less than this was missed.
+MISSED_BELOW = 0.01
+#: Edges of the ten bins; an edge belongs to the bin above, 1 to the last one. What was given less than the first edge
+#: is left out: far from anybody there is plenty of it, it is right without effort, and how much depends on the
+#: threshold of publishing.
+BIN_EDGES = (MISSED_BELOW, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+#: The two parts of a run that are judged apart: at rest there is nothing left to predict.
+MOVING, AT_REST = "human moving", "human at rest"
+
+_N_BINS = len(BIN_EDGES) - 1
+#: Of a voxel: what the float32 coordinates of its centre can be off by, with room to spare.
+_CENTRE_TOLERANCE = 1e-3
+_STAMP_TOLERANCE_S = 1e-6
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What was found of a run: figures by part of the run, or in `notes` why there are none."""
+
+    parts: Mapping[str, OccupancyCalibration] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def measure_calibration(run: Run, workcell: Workcell) -> Calibration:
+    """Compare the occupancies sampled from a run with the voxels the human's body really touched from then on.
+
+    Args:
+        run: with all of the human's motion; what happened after an interruption is not known.
+        workcell: of that run.
+    """
+    scene, human = workcell.scene, workcell.human
+    if not len(run.occupancy):
+        return _nothing("no occupancy was recorded")
+    if not len(run.postures):
+        return _nothing("no posture of the human was recorded")
+    if scene is None or human is None:
+        return _nothing(f"the {'scene' if scene is None else 'human model'} is not known")
+    seen = run.seen_percent
+    if seen is not None and seen < WHOLE_REACH_PERCENT:
+        return _nothing(f"what the human did after {seen:.0f} % of the reach was not recorded")
+    samples = [sample for sample in run.occupancy.samples if sample.t_s <= run.postures.t_s[-1] + _STAMP_TOLERANCE_S]
+    if not any(len(sample.probability) for sample in samples):
+        return _nothing("the recorded occupancies hold no voxel")
+    grid = run.occupancy.grid or scene.grid
+    body = _RecordedBody(human, grid, scene.T_world_human, run)
+    tally = {MOVING: _Tally(), AT_REST: _Tally()}
+    for sample in samples:
+        trouble = _trouble(sample, grid)
+        if trouble:
+            return _nothing(f"at {sample.t_s:.2f} s {trouble}")
+        moving = sample.t_s <= run.motion_duration_s + _STAMP_TOLERANCE_S and run.motion_duration_s > 0.0
+        tally[MOVING if moving else AT_REST].add(sample, grid, body)
+    return Calibration({name: part.figures() for name, part in tally.items() if part.occupancies})
+
+
+class _RecordedBody:
+    """Which voxels the recorded body touches, now and from now on."""
+
+    def __init__(self, human: HumanModel, grid: VoxelGrid, T_world_human: FloatArray, run: Run) -> None:
+        self._voxeliser = BodyVoxeliser(human, grid, T_world_human)
+        self._postures = run.postures
+        self._last = self._voxeliser.last_touch(run.postures.q).ravel()
+        self._touched = np.sort(self._last[self._last >= 0])
+
+    def posture_at(self, t_s: float) -> int:
+        """Return the number of the posture at a time, of the next one where that was not recorded."""
+        return int(np.searchsorted(self._postures.t_s, t_s - _STAMP_TOLERANCE_S))
+
+    def touches_from(self, posture: int, flat: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return (N,) whether voxels are touched in this posture or any later one."""
+        touched: NDArray[np.bool_] = self._last[flat] >= posture
+        return touched
+
+    def n_touched_from(self, posture: int) -> int:
+        """Return how many voxels are touched in this posture or any later one."""
+        return len(self._touched) - int(np.searchsorted(self._touched, posture))
+
+    def n_touched_in(self, posture: int) -> int:
+        """Return how many voxels are touched in this posture."""
+        return len(self._voxeliser.voxels(self._postures.q[posture]))
+
+
+@dataclass
+class _Tally:
+    """Sums over occupancies."""
+
+    occupancies: int = 0
+    expected: float = 0.0
+    swept: int = 0
+    missed: int = 0
+    squared_error: float = 0.0
+    squared_error_current: int = 0
+    count: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_N_BINS, dtype=np.int64))
+    probability: FloatArray = field(default_factory=lambda: np.zeros(_N_BINS))
+    came_true: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_N_BINS, dtype=np.int64))
+
+    def add(self, sample: OccupancySnapshot, grid: VoxelGrid, body: _RecordedBody) -> None:
+        posture, p = body.posture_at(sample.t_s), sample.probability
+        y = body.touches_from(posture, grid.flat_index(sample.centres_m))
+        n_swept, n_now = body.n_touched_from(posture), body.n_touched_in(posture)
+        warned = p >= MISSED_BELOW
+        self.occupancies += 1
+        self.expected += float(p.sum())
+        self.swept += n_swept
+        self.missed += n_swept - int(y[warned].sum())
+        # Voxels that were not published count as probability 0.
+        self.squared_error += float(((p - y) ** 2).sum()) + n_swept - int(y.sum())
+        # Where the body is now is part of what it sweeps from now on: that baseline errs by the rest alone.
+        self.squared_error_current += n_swept - n_now
+        number = np.minimum(np.searchsorted(BIN_EDGES, p[warned], side="right") - 1, _N_BINS - 1)
+        self.count += np.bincount(number, minlength=_N_BINS)
+        self.probability += np.bincount(number, weights=p[warned], minlength=_N_BINS)
+        self.came_true += np.bincount(number[y[warned]], minlength=_N_BINS)
+
+    def figures(self) -> OccupancyCalibration:
+        voxels = int(self.count.sum())
+        gap = float(np.abs(self.probability - self.came_true).sum())
+        baseline = self.squared_error_current
+        return OccupancyCalibration(
+            occupancies=self.occupancies,
+            voxels=voxels,
+            error=gap / voxels if voxels else None,
+            missed=self.missed / self.swept if self.swept else None,
+            expected_voxels=self.expected / self.occupancies,
+            swept_voxels=self.swept / self.occupancies,
+            squared_error=self.squared_error / self.occupancies,
+            squared_error_current=baseline / self.occupancies,
+            squared_error_ratio=self.squared_error / baseline if baseline else None,
+            bins=tuple(
+                ReliabilityBin(low, high, n, p / n if n else None, y / n if n else None)
+                for low, high, n, p, y in zip(
+                    BIN_EDGES[:-1],
+                    BIN_EDGES[1:],
+                    self.count.tolist(),
+                    self.probability.tolist(),
+                    self.came_true.tolist(),
+                    strict=True,
+                )
+            ),
+        )
+
+
+def _trouble(sample: OccupancySnapshot, grid: VoxelGrid) -> str:
+    """Return why a published occupancy cannot be compared, empty if it can."""
+    p = sample.probability
+    if not ((p >= 0.0) & (p <= 1.0)).all():  # NaN is neither
+        return "probabilities outside of 0 to 1 were published"
+    flat = grid.flat_index(sample.centres_m)
+    off = np.abs(grid.centres_m(np.maximum(flat, 0)) - sample.centres_m)
+    if (flat < 0).any() or (off > _CENTRE_TOLERANCE * grid.resolution_m).any():
+        return "points were published that are not voxel centres of the grid"
+    return ""
+
+
+def _nothing(why: str) -> Calibration:
+    return Calibration(notes=(f"whether the predicted probabilities were right cannot be told: {why}",))
