@@ -62,6 +62,8 @@ def _demo(options: argparse.Namespace) -> int:
             seed=options.seed,
             rate=options.real_time,
             predictor=options.predictor,
+            classifier=options.classifier,
+            detect_onsets=not options.no_onsets,
             markers=options.markers,
             evidence=options.evidence,
             window_frames=options.window_frames,
@@ -189,6 +191,7 @@ _EXPERIMENTS = {
         {
             "recognition": ("recognition_command", "how early and how surely a reach is recognised (P1 Fig. 6)"),
             "occupancy": ("occupancy_command", "predicted occupancy against the voxels really swept"),
+            "streams": ("stream_command", "onsets, ends and recognition on long streams with pauses"),
         },
     ),
     "bench": (
@@ -231,9 +234,15 @@ def command_parser() -> argparse.ArgumentParser:
     demo.add_argument("--trajectory", default="3/2", help="class/index, or the running number over sorted classes")
     demo.add_argument("--model", help="model file made by `humanpred train`; default: train now")
     demo.add_argument("--hold-out", type=int, default=5, help="first motions of each class not trained on")
-    demo.add_argument("--predictor", default="swept_volume", help="swept_volume, or current (the baseline)")
-    demo.add_argument("--evidence", default="sum", help="sum or mean of the postures' log densities")
-    demo.add_argument("--window-frames", type=int, default=0, help="count only so many last postures; 0 counts all")
+    demo.add_argument(
+        "--predictor",
+        default="forecast",
+        help="forecast, swept_volume (P1), or a baseline: current, current_accumulated, constant_velocity",
+    )
+    demo.add_argument("--classifier", default="forest", help="forest, or gmm (P1)")
+    demo.add_argument("--no-onsets", action="store_true", help="the first posture begins the motion, as in P1")
+    demo.add_argument("--evidence", default="sum", help="gmm: sum or mean of the postures' log densities")
+    demo.add_argument("--window-frames", type=int, default=0, help="gmm: count only so many last postures; 0 all")
     demo.add_argument("--seed", type=int, default=0)
     demo.add_argument("--markers", action="store_true", help="record markers too, for viewers")
     demo.add_argument(

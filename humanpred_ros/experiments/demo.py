@@ -19,9 +19,11 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.occupancy.factory import needs_model
+from humanpred_ros.occupancy.factory import DEFAULT_PREDICTOR, check_predictor, needs_model
+from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.model_file import load_model, save_model
+from humanpred_ros.recognition.registry import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.training import train_model
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import Scene, load_scene
@@ -50,8 +52,9 @@ class DemoOptions:
         rate: playback speed in real time; None steps: the next posture waits for the decision on the last, so
             that a run comes out the same on any machine.
         steps: replanning steps per human motion (P1: 20, so 5 % each).
-        predictor: what predicts the occupancy.
-        evidence, window_frames: how the classifier weighs the postures seen (`GmmConfig`; 0 counts all).
+        predictor, classifier: what predicts the occupancy, and what recognises the reach.
+        detect_onsets: find where the motion begins and ends; without it the first posture begins one, as in P1.
+        evidence, window_frames: how `gmm` weighs the postures seen (`GmmConfig`; 0 counts all).
         threshold: voxels at or below this probability are not published.
         hold_last_s: how long the human stays at the end, for the arm to finish.
         markers: record markers too, for a look at the bag in a viewer; costs the nodes time.
@@ -66,7 +69,9 @@ class DemoOptions:
     seed: int = 0
     rate: float | None = None
     steps: int = 20
-    predictor: str = "swept_volume"
+    predictor: str = DEFAULT_PREDICTOR
+    classifier: str = DEFAULT_CLASSIFIER
+    detect_onsets: bool = True
     evidence: str = "sum"
     window_frames: int = 0
     threshold: float = 0.001
@@ -85,6 +90,7 @@ def run_demo(options: DemoOptions, console: Console) -> RunSummary:
     Raises:
         HumanPredError: unusable input (before anything is written), or a node that failed.
     """
+    check_predictor(options.predictor, options.classifier)
     scene = load_scene(options.scene)
     library = load_library(locate(options.library, "bags"))
     human = HumanModel.kinect12()
@@ -97,7 +103,9 @@ def run_demo(options: DemoOptions, console: Console) -> RunSummary:
     elif needs_model(options.predictor):
         training = training_part(library, motion, options.hold_out)
         with console.status(f"training on {len(training)} motions of {library.name}"):
-            model = train_model(training, human, GmmConfig(seed=options.seed))
+            model = train_model(
+                training, human, GmmConfig(seed=options.seed), ForestConfig(seed=options.seed)
+            )
 
     folder.mkdir(parents=True)
     model_path = Path(options.model or folder / "model.npz").resolve()
@@ -160,6 +168,8 @@ def _start_nodes(group: NodeGroup, options: DemoOptions, bag: Path, motion: Moti
         "rate": options.rate or "",
         "period_s": repr(period_s),
         "predictor": options.predictor,
+        "classifier": options.classifier if needs_model(options.predictor) else "",
+        "detect_onsets": options.detect_onsets,
         "threshold": repr(options.threshold),
         "package_version": __version__,
         "duration_s": repr(motion.duration_s),
@@ -195,6 +205,8 @@ def _start_nodes(group: NodeGroup, options: DemoOptions, bag: Path, motion: Moti
             "scene": options.scene,
             "model": str(model),
             "predictor": options.predictor,
+            "classifier": options.classifier,
+            "detect_onsets": options.detect_onsets,
             "evidence": options.evidence,
             "window_frames": options.window_frames,
             "threshold": options.threshold,

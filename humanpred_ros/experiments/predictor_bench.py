@@ -33,6 +33,8 @@ from humanpred_ros.resources import locate
 
 #: Postures fed before anything is timed: caches and the processor's clock settle.
 _WARM_UP = 30
+#: Lengths of the motions whose last postures are timed.
+_FRAMES_SEEN = (100, 1000, 10000)
 _POSTURES = "/humans/bodies/body_0/joint_states"
 _OCCUPANCY = "/human_occupancy"
 
@@ -173,7 +175,7 @@ def _with_frames(
 ) -> list[Growth]:
     """The last hundred postures of ever longer motions: the played ones over and over, never started anew."""
     found = []
-    for n_frames in (100, 1000, 10000):
+    for n_frames in _FRAMES_SEEN:
         report(f"{n_frames} frames")
         predictor = _default(model, human, grid_around(library, human))
         postures = np.vstack([motion.q for motion in played])

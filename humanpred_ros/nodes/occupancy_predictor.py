@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 
+import numpy as np
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
@@ -16,7 +17,7 @@ from humanpred_ros.nodes.base import GraphNode, run_node
 from humanpred_ros.nodes.markers import occupancy_markers
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.nodes.settings import OccupancyPredictorSettings
-from humanpred_ros.occupancy.factory import make_predictor, needs_model
+from humanpred_ros.occupancy.factory import check_predictor, make_predictor, needs_model
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.model_file import load_model
 from humanpred_ros.recognition.registry import make_classifier
@@ -41,9 +42,12 @@ class OccupancyPredictorNode(GraphNode):
         scene = load_scene(settings.scene)
         self.human = HumanModel.kinect12()
         learned = needs_model(settings.predictor)
-        online = {"evidence": settings.evidence, "window_frames": settings.window_frames or None} if learned else {}
+        online = {}
+        if settings.classifier == "gmm":
+            online = {"evidence": settings.evidence, "window_frames": settings.window_frames or None}
         # Named wrongly, these should not cost a training first.
-        make_classifier(settings.classifier, GmmConfig(**online))
+        make_classifier(settings.classifier, GmmConfig(**online) if online else None)
+        check_predictor(settings.predictor, settings.classifier)
         model = self._model() if learned else None
         self.predictor = make_predictor(
             settings.predictor,
@@ -52,10 +56,11 @@ class OccupancyPredictorNode(GraphNode):
             scene.grid,
             scene.T_world_human,
             classifier=settings.classifier,
+            onsets=settings.detect_onsets,
             **online,
         )
-        rotation, translation = scene.T_world_human[:3, :3], scene.T_world_human[:3, 3]
-        self.goals_m = None if model is None else model.goals_m @ rotation.T + translation
+        self.T_world_human = scene.T_world_human
+        self.goals_m = None if model is None else model.goals_m
         self.origin_ns = 0
         self.last_ns: int | None = None
         self.last_marker_ns = 0
@@ -100,10 +105,14 @@ class OccupancyPredictorNode(GraphNode):
             return
         self.publisher.publish(conversions.occupancy_cloud(prediction.occupancy, self.settings.threshold, stamp_ns))
         if prediction.posterior is not None and self.goals_m is not None:
+            # The library's goals, as seen from where this person stands.
+            T = self.T_world_human
+            if prediction.T_library_tracker is not None:
+                T = T @ np.linalg.inv(prediction.T_library_tracker)
+            goals_m = self.goals_m @ T[:3, :3].T + T[:3, 3]
+            posterior = prediction.posterior
             self.goal_publisher.publish(
-                conversions.goals_cloud(
-                    self.goals_m, prediction.posterior.labels, prediction.posterior.probability, stamp_ns
-                )
+                conversions.goals_cloud(goals_m, posterior.labels, posterior.probability, stamp_ns)
             )
         if self.marker_publisher.get_subscription_count() and abs(stamp_ns - self.last_marker_ns) >= _MARKER_PERIOD_NS:
             self.last_marker_ns = stamp_ns

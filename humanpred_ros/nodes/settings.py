@@ -9,8 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from humanpred_ros.occupancy.factory import DEFAULT_PREDICTOR
 from humanpred_ros.planning.replanner import ReplannerConfig
 from humanpred_ros.planning.stomp import StompConfig
+from humanpred_ros.recognition.registry import DEFAULT_CLASSIFIER
 
 _REPLANNER = ReplannerConfig()
 _STOMP = StompConfig()
@@ -46,10 +48,13 @@ class OccupancyPredictorSettings:
     scene: str = setting("face_to_face", "scene name in config/scenes, or a YAML file")
     model: str = setting("", "model file made by `humanpred train`; empty: train on `library` at start")
     library: str = setting("synthetic_reaches", "library trained on when no model is given")
-    classifier: str = setting("gmm", "how the class of a partial motion is recognised")
-    evidence: str = setting("sum", "sum or mean of the postures' log densities")
-    window_frames: int = setting(0, "count only so many last postures; 0 counts all", 0, 100000)
-    predictor: str = setting("swept_volume", "swept_volume (P1), current or current_accumulated (baselines)")
+    classifier: str = setting(DEFAULT_CLASSIFIER, "how a partial motion is recognised: forest, or gmm (P1)")
+    evidence: str = setting("sum", "gmm only: sum or mean of the postures' log densities")
+    window_frames: int = setting(0, "gmm only: count only so many last postures; 0 counts all", 0, 100000)
+    predictor: str = setting(
+        DEFAULT_PREDICTOR, "forecast, swept_volume (P1), or a baseline: current, current_accumulated, constant_velocity"
+    )
+    detect_onsets: bool = setting(True, "find where motions begin and end; false: the first posture begins one")
     body_id: str = setting("body_0", "REP-155 body id listened to")
     threshold: float = setting(0.001, "voxels with a higher probability are published", 0.0, 1.0)
     listener: str = setting("", "node that must be listening to the occupancy before this one is ready")

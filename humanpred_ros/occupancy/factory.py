@@ -8,24 +8,44 @@ from humanpred_ros.errors import UsageError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy.constant_velocity import ConstantVelocityPredictor
 from humanpred_ros.occupancy.current import CurrentOccupancyPredictor
+from humanpred_ros.occupancy.forecast import ForecastPredictor
 from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.p1 import SweptVolumePredictor
 from humanpred_ros.occupancy.predictor import OccupancyPredictor
-from humanpred_ros.recognition.registry import trained_classifier
+from humanpred_ros.recognition.forest_classifier import ForestClassifier
+from humanpred_ros.recognition.registry import DEFAULT_CLASSIFIER, trained_classifier
+from humanpred_ros.recognition.stream import StreamClassifier
 from humanpred_ros.recognition.training import TrainedModel
 
-#: Names users know the predictors by, and what they predict.
+#: Names users know the predictors by, and what they predict; the default first.
 PREDICTORS = {
+    "forecast": "where the body goes on to, as the library's people went on from moments like this one",
     "swept_volume": "P1: posterior of the classes times the volumes they sweep",
     "current": "baseline: the body where it is now",
     "current_accumulated": "baseline: everywhere the body was since the motion began (published code of P1)",
     "constant_velocity": "baseline: the body where it is, and where it gets to if it goes on as it moves now",
 }
+DEFAULT_PREDICTOR = "forecast"
 
 
 def needs_model(name: str) -> bool:
     """Return whether a predictor learns from a motion library; the baselines do not."""
-    return name == "swept_volume"
+    return name in ("forecast", "swept_volume")
+
+
+def check_predictor(name: str, classifier: str) -> None:
+    """Check names before anything expensive is done.
+
+    Raises:
+        UsageError: an unknown predictor, or one that does not go with the classifier.
+    """
+    if name not in PREDICTORS:
+        raise UsageError(f"predictor: wanted one of {', '.join(PREDICTORS)}, got {name!r}")
+    if name == "forecast" and classifier != "forest":
+        raise UsageError(
+            f"predictor forecast: wanted the classifier forest, whose recorded motions it follows, got {classifier!r}; "
+            "with another classifier use swept_volume"
+        )
 
 
 def make_predictor(
@@ -35,7 +55,8 @@ def make_predictor(
     grid: VoxelGrid,
     T_world_human: ArrayLike,
     *,
-    classifier: str = "gmm",
+    classifier: str = DEFAULT_CLASSIFIER,
+    onsets: bool = False,
     **online: object,
 ) -> OccupancyPredictor:
     """Return a predictor by name.
@@ -46,20 +67,29 @@ def make_predictor(
         human: whose body occupies.
         grid: the lattice, world frame.
         T_world_human: (4, 4) from the tracker's frame to the world.
-        classifier: name of the classifier that recognises the class.
-        online: settings of the classifier that differ from the model's (`GmmConfig`, those free to change).
+        classifier: name of the classifier that recognises the class; `forecast` needs `forest`.
+        onsets: the postures are those of a person who mostly stands: find where motions begin and end, and recognise
+            each anew (`StreamClassifier`). Without it, the first posture after `start` begins a motion.
+        online: settings of `gmm` that differ from the model's (`GmmConfig`, those free to change).
 
     Raises:
-        UsageError: unknown name, no model where one is needed, or a model for another human.
+        UsageError: unknown name, no model where one is needed, a model for another human, or a predictor that does not
+            go with the classifier.
         ArrayError: a placement that is not a rigid transform.
     """
-    if name == "swept_volume":
-        if model is None:
-            raise UsageError("predictor swept_volume: wanted a trained model, got none; train one first")
-        recogniser = trained_classifier(classifier, model, human, **online)
-        return SweptVolumePredictor.from_model(model, human, grid, T_world_human, classifier=recogniser)
+    check_predictor(name, classifier)
     if name == "constant_velocity":
         return ConstantVelocityPredictor(human, grid, T_world_human)
-    if name in ("current", "current_accumulated"):
+    if not needs_model(name):
         return CurrentOccupancyPredictor(human, grid, T_world_human, accumulate=name == "current_accumulated")
-    raise UsageError(f"predictor: wanted one of {', '.join(PREDICTORS)}, got {name!r}")
+    if model is None:
+        raise UsageError(f"predictor {name}: wanted a trained model, got none; train one first")
+    if model.human_signature != human.signature:
+        raise UsageError(
+            f"predictor: the model was trained for another human than {human.name}; train one for this human"
+        )
+    recogniser = trained_classifier(classifier, model, human, **online)
+    stream = StreamClassifier(recogniser, human=human) if onsets else recogniser
+    if isinstance(recogniser, ForestClassifier) and name == "forecast":
+        return ForecastPredictor(recogniser, grid, T_world_human, recogniser=stream)
+    return SweptVolumePredictor.from_model(model, human, grid, T_world_human, classifier=stream)

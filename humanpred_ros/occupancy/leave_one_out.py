@@ -17,6 +17,7 @@ from humanpred_ros.errors import LibraryFormatError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.occupancy.factory import make_predictor, needs_model
+from humanpred_ros.occupancy.forecast import ForecastPredictor
 from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.p1 import SweptVolumePredictor
 from humanpred_ros.occupancy.predictor import OccupancyPredictor
@@ -24,10 +25,12 @@ from humanpred_ros.occupancy.swept_volume import swept_volume
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.recognition.class_mixtures import ClassMixtures, fit_class_mixtures, refit_class_mixtures
 from humanpred_ros.recognition.classifier import IntentClassifier
+from humanpred_ros.recognition.forest_classifier import ForestClassifier
+from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.gmm_classifier import GmmClassifier
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.mixture import GaussianMixture
-from humanpred_ros.recognition.registry import make_classifier
+from humanpred_ros.recognition.registry import DEFAULT_CLASSIFIER, make_classifier
 from humanpred_ros.recognition.regression import regress
 from humanpred_ros.recognition.training import train_model
 
@@ -89,7 +92,8 @@ class TrainedAnew(LeaveOneOut):
         s = self.settings
         rest = s.library.select(lambda motion: motion.name != name)
         model = train_model(rest, s.human, s.gmm)
-        return make_predictor(self._name, model, s.human, s.grid, s.T_world_human, classifier=s.classifier)
+        classifier = DEFAULT_CLASSIFIER if self._name == "forecast" else s.classifier
+        return make_predictor(self._name, model, s.human, s.grid, s.T_world_human, classifier=classifier)
 
 
 class SweptVolumes(LeaveOneOut):
@@ -138,6 +142,27 @@ class SweptVolumes(LeaveOneOut):
         return swept_volume(self._voxeliser, regress(mixture, self._phase).mean)
 
 
+class Forecasts(LeaveOneOut):
+    """For the default predictor: only trees that learned from the left-out motion are grown anew."""
+
+    def __init__(self, settings: FoldSettings, predictor: str = "forecast") -> None:
+        super().__init__(settings)
+
+    def without(self, name: str) -> ForecastPredictor:
+        """Return the forecast as if trained without the motion."""
+        s = self.settings
+        if all(motion.name != name for motion in s.library):
+            forest = ForestClassifier(human=s.human, model=self._fitted.model)
+        else:
+            forest = self._fitted.fit_without(s.library, name)
+        return ForecastPredictor(forest, s.grid, s.T_world_human)
+
+    @cached_property
+    def _fitted(self) -> ForestClassifier:
+        config = ForestConfig(seed=self.settings.gmm.seed)
+        return ForestClassifier(config, self.settings.human).fit(self.settings.library)
+
+
 def _with_phase(classifier: IntentClassifier) -> ClassMixtures | None:
     """Return what a classifier learned, if motions can be regressed from it."""
     classes = classifier.classes if isinstance(classifier, GmmClassifier) else None
@@ -145,7 +170,9 @@ def _with_phase(classifier: IntentClassifier) -> ClassMixtures | None:
 
 
 #: How predictors are trained without one motion, where there is something to share between the trainings.
-SHARED: Mapping[str, Callable[[FoldSettings, str], LeaveOneOut]] = MappingProxyType({"swept_volume": SweptVolumes})
+SHARED: Mapping[str, Callable[[FoldSettings, str], LeaveOneOut]] = MappingProxyType(
+    {"swept_volume": SweptVolumes, "forecast": Forecasts}
+)
 
 
 def leave_one_out(predictor: str, settings: FoldSettings) -> LeaveOneOut:

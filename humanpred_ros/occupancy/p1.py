@@ -106,6 +106,7 @@ class SweptVolumePredictor(OccupancyPredictor):
             )
         probability = np.zeros(self.grid.size, dtype=np.float32)
         # einsum, not a threaded product: the sum's order must not depend on the number of cores.
-        share = np.einsum("m,mv->v", posterior.probability.astype(np.float32), self._sweeps)
+        # Of a reach of no class nothing is known but that it sweeps some space: that must not make the space look free.
+        share = np.einsum("m,mv->v", posterior.given_known.astype(np.float32), self._sweeps)
         probability[self._union] = np.minimum(share, np.float32(1.0))  # rounding may exceed a certainty
         return Prediction(Occupancy(self.grid, probability.reshape(self.grid.shape), t_s), posterior)

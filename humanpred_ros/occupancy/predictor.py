@@ -10,12 +10,20 @@ from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
 from humanpred_ros.recognition.classifier import ClassPosterior
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Prediction:
-    """What a predictor says after one posture; `posterior` is None where it recognises nothing."""
+    """What a predictor says after one posture.
+
+    Attributes:
+        occupancy: where the human is going to be.
+        posterior: which class it takes the motion for; None where it recognises nothing.
+        T_library_tracker: (4, 4) where it takes this person to stand: brings the person to where the library's people
+            stood. None where it takes the library's place for granted.
+    """
 
     occupancy: Occupancy
     posterior: ClassPosterior | None
+    T_library_tracker: FloatArray | None = None
 
 
 class OccupancyPredictor(ABC):

@@ -31,7 +31,9 @@ _HEAD_FACTS = ("scene", "library", "trajectory", "mode", "predictor", "seed")
 #: Values side by side in one tile.
 _MOST_LISTED = 3
 #: Recorded options of `humanpred demo`, as they are spelt on its command line.
-_OPTIONS = ("scene", "library", "trajectory", "predictor", "evidence", "window-frames", "hold-out", "seed")
+_OPTIONS = (
+    "scene", "library", "trajectory", "predictor", "classifier", "evidence", "window-frames", "hold-out", "seed",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -146,6 +148,8 @@ def reproduce_command(run: Run) -> str:
         value = run.facts.get(option.replace("-", "_"))
         if value:
             parts += [f"--{option}", value]
+    if run.facts.get("detect_onsets") == "False":
+        parts += ["--no-onsets"]
     if (run.folder / "model.npz").is_file():
         parts += ["--model", str(run.folder / "model.npz")]
     if run.facts.get("mode") == "real_time":

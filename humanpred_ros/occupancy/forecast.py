@@ -1,0 +1,128 @@
+"""The default predictor: where the body will be from now on, learned from how the library's people went on.
+
+Knowing the class, one knows where the hand goes; how the body gets there differs from motion to motion. So no mean
+motion is swept, but a sample of recorded ones: those whose present resembles this present, each from there to its end.
+A voxel's probability is the probability of the futures that touch it.
+
+Postures, not voxels, are recorded. Most voxels are the body's, not the arm's, and the body is where this person stands
+and leans now: a future begins in the present posture, and the difference to the recorded one fades in part, as the
+places reached for do not move with the person. And a surface is thinner than a voxel: moved by voxels, it would blur.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.errors import UsageError
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.occupancy import forecast_kernels as kernels
+from humanpred_ros.occupancy.body_parts import BodyParts, Float32Array
+from humanpred_ros.occupancy.forecast_config import ForecastConfig
+from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
+from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
+from humanpred_ros.occupancy.recorded_futures import RecordedFutures
+from humanpred_ros.occupancy.voxeliser import BodyVoxeliser, checked_placement
+from humanpred_ros.recognition.classifier import IntentClassifier
+from humanpred_ros.recognition.forest_classifier import ForestClassifier
+
+__all__ = ["ForecastConfig", "ForecastPredictor"]
+
+
+class ForecastPredictor(OccupancyPredictor):
+    """p(voxel) = sum over exemplars of P(exemplar is the present moment) [what followed it touches the voxel].
+
+    Futures are those of the classes that were learned, also for a reach of no class: the posterior says how probable
+    that is. Where the body is now has probability 1. A person who stands elsewhere is moved to where the library's
+    people stood (`ForestClassifier.alignment`), and the futures back. Time and memory do not depend on how much was
+    seen.
+
+    Attributes:
+        grid: the lattice, world frame.
+        config: the settings.
+    """
+
+    def __init__(
+        self,
+        forest: ForestClassifier,
+        grid: VoxelGrid,
+        T_world_human: ArrayLike,
+        *,
+        recogniser: IntentClassifier | None = None,
+        config: ForecastConfig | None = None,
+    ) -> None:
+        """Prepare the library's motions; a fifth of a second for 200 of them.
+
+        Args:
+            forest: a classifier that has learned; its human occupies, its exemplars are the futures.
+            grid: the lattice, world frame.
+            T_world_human: (4, 4) rigid transform from the tracker's frame to the world.
+            recogniser: what runs `forest` and answers instead of it, such as a `StreamClassifier`; None: nothing.
+            config: the settings.
+
+        Raises:
+            UsageError: a forest that has not learned.
+            ArrayError: a placement that is not a rigid transform.
+        """
+        if forest.model is None:
+            raise UsageError("forecast: wanted a classifier that has learned, got a new one; call fit(library) first")
+        self.grid = grid
+        self.config = ForecastConfig() if config is None else config
+        self._forest = forest
+        self._recogniser = forest if recogniser is None else recogniser
+        self._human: HumanModel = forest.human
+        self._voxeliser = BodyVoxeliser(self._human, grid, T_world_human, self.config.spacing_m)
+        self._T_grid_human = checked_placement(T_world_human).copy()
+        self._T_grid_human[:3, 3] -= grid.origin_m
+        self._T_grid_human[:3] /= grid.resolution_m
+        self._parts = BodyParts.of(self._human, self.config.spacing_m, self.config.thinning)
+        low, high = self._parts.corners_m[:, 0], self._parts.corners_m[:, -1]
+        self._balls = np.column_stack([(low + high) / 2, np.linalg.norm(high - low, axis=1) / 2])
+        step_m = self.config.step_voxels * grid.resolution_m
+        self._futures = RecordedFutures.of(forest.model.exemplars, self._human, self._parts, step_m)
+        # Room to work in, zero between updates.
+        self._touched = np.zeros(grid.size + 1, dtype=np.uint32)
+        self._share = np.zeros([n + 2 for n in grid.shape], dtype=np.float32)
+        # What is compiled or put in order at its first use is used here: the first posture must not wait for it.
+        _ = forest.model.leaf_members
+        start = forest.model.exemplars.q[0]
+        self._probability(start, np.eye(4), *self._drawn(np.ones(len(self._futures.label))))
+
+    def start(self) -> None:
+        """Forget what was observed: the next posture is the first of a new motion."""
+        self._recogniser.start()
+
+    def update(self, q: FloatArray, t_s: float) -> Prediction:
+        """Take one posture (D,) stamped `t_s`; raises what the classifier raises, and then changes nothing."""
+        posterior = self._recogniser.update(q, t_s)
+        chosen, probability = self._drawn(self._forest.exemplar_weights())
+        T_library_tracker = self._forest.alignment
+        p = self._probability(q, T_library_tracker, chosen, probability)
+        return Prediction(Occupancy(self.grid, p, t_s), posterior, T_library_tracker)
+
+    def _drawn(self, weight: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+        futures, c = self._futures, self.config
+        return kernels.draw(weight, futures.label, futures.n_classes, c.n_futures, c.least_share)
+
+    def _probability(
+        self, q: FloatArray, T_library_tracker: FloatArray, chosen: NDArray[np.int64], probability: FloatArray
+    ) -> Float32Array:
+        """Return the grid of probabilities that follow from posture (D,) and the exemplars chosen (F,)."""
+        now = T_library_tracker @ self._human.link_poses(q)[self._parts.link]
+        kernels.follow(
+            chosen,
+            np.ascontiguousarray(now[:, :3]),
+            self._futures.ways,
+            self.config.kept,
+            self.config.fade,
+            self._T_grid_human @ np.linalg.inv(T_library_tracker),
+            self._parts.points,
+            self._parts.first,
+            self._balls,
+            self.grid.shape,
+            self._touched,
+        )
+        p = np.zeros(self.grid.shape, dtype=np.float32)
+        kernels.count(self._touched, probability, self._voxeliser.mask(q), self.config.spread, self._share, p)
+        return p
