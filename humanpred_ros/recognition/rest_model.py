@@ -21,7 +21,7 @@ from humanpred_ros.errors import UsageError
 #: Frames closer than this say much the same: a camera's errors last for two or three of its frames.
 CORRELATED_S = 0.1
 #: Deviations beyond so many times the median one count as that, where all frames are looked at together.
-_BAD = 1e9
+_BAD = 6.0
 
 
 @dataclass(frozen=True)
