@@ -103,9 +103,7 @@ def run_demo(options: DemoOptions, console: Console) -> RunSummary:
     elif needs_model(options.predictor):
         training = training_part(library, motion, options.hold_out)
         with console.status(f"training on {len(training)} motions of {library.name}"):
-            model = train_model(
-                training, human, GmmConfig(seed=options.seed), ForestConfig(seed=options.seed)
-            )
+            model = train_model(training, human, GmmConfig(seed=options.seed), ForestConfig(seed=options.seed))
 
     folder.mkdir(parents=True)
     model_path = Path(options.model or folder / "model.npz").resolve()

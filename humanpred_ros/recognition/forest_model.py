@@ -170,9 +170,7 @@ def refit_without(model: ForestModel, name: str) -> ForestModel:
     learned = drawn_motions(exemplars.names, config)
     k = model.exemplars.names.index(name)
     changed = before[k] | (np.delete(before, k, axis=0) != learned).any(axis=0)
-    trees = [
-        _grow(exemplars, learned[:, b], b, config) if changed[b] else tree for b, tree in enumerate(model.trees)
-    ]
+    trees = [_grow(exemplars, learned[:, b], b, config) if changed[b] else tree for b, tree in enumerate(model.trees)]
     distances = distances_without(model.motion_distances, model.exemplars.first, k)
     return _finished(model.labels, exemplars, trees, config, distances)
 
