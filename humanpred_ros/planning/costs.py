@@ -11,6 +11,7 @@ our obstacle weight is another.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -125,6 +126,14 @@ class HumanOccupancyCost(CostTerm):
         self._arm = flatten(chain, points.link, points.local_m, np.zeros(len(points)), origin, grid.resolution_m)
         self._cells_per_m = np.float32(1.0 / grid.resolution_m)
 
+    def for_kernel(self) -> tuple[Any, ...]:
+        """Return what the compiled loop of `arm_loop` wants of this term."""
+        arm = self._arm
+        weight = np.float32(self.weight)
+        return (
+            arm.root, arm.joints, arm.points, self._cells_per_m, self._lattice, *self._shape, self._factor, weight,
+        )  # fmt: skip
+
     def costs(self, q: ArrayLike) -> Float32Array:
         return self.evaluate(as_batch(q, self._n_joints))[0]
 
@@ -173,6 +182,15 @@ class ObstacleCost(CostTerm):
         self._shape = field.values.shape
         self._lattice = field.values.ravel()
         self._arm = flatten(chain, spheres.link, spheres.centre_m, spheres.radius_m, field.origin_m, field.resolution_m)
+
+    def for_kernel(self, n_waypoints: int) -> tuple[Any, ...]:
+        """Return what the compiled loop of `arm_loop` wants of this term for trajectories of `n_waypoints`."""
+        arm, float32 = self._arm, np.float32
+        return (
+            arm.root, arm.joints, arm.points, float32(self.field.resolution_m),
+            float32((n_waypoints - 1) / self.duration_s), float32(self.clearance_m), self._lattice, *self._shape,
+            float32(self.margin_m), float32(self.weight),
+        )  # fmt: skip
 
     def costs(self, q: ArrayLike) -> Float32Array:
         return self.costs_and_distances(q)[0]

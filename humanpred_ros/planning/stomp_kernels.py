@@ -22,7 +22,7 @@ from humanpred_ros.compiled import fast
 
 #: Normal quantiles at the middle of 65536 equal probabilities: 16 random bits make one draw. The largest is
 #: 4.2 standard deviations, and their variance is 1 to within 1e-4.
-_QUANTILES = ndtri((np.arange(65536) + 0.5) / 65536.0).astype(np.float32)
+QUANTILES = ndtri((np.arange(65536) + 0.5) / 65536.0).astype(np.float32)
 
 #: Violations below this are rounding, rad.
 _LIMIT_TOLERANCE = 1e-6
@@ -89,7 +89,7 @@ def white_noise(bits: NDArray[np.uint16], rows: int, lanes: int) -> NDArray[np.f
     waypoints before anything sees it, so 65536 levels are plenty.
     """
     out = np.empty((rows, lanes), dtype=np.float32)
-    _look_up(bits, _QUANTILES, out.reshape(-1))
+    _look_up(bits, QUANTILES, out.reshape(-1))
     return out
 
 
@@ -110,11 +110,11 @@ def sample(
     out: NDArray[np.float32],
 ) -> None:
     """Write K noisy copies of theta (N, D) within the limits, then theta itself; out (K+1, N, D), from `bits`."""
-    _sample(theta, bits, _QUANTILES, std, lower, upper, factor, factor32, out)
+    sample_compiled(theta, bits, QUANTILES, std, lower, upper, factor, factor32, out)
 
 
 @fast
-def _sample(
+def sample_compiled(
     theta: NDArray[Any],
     bits: NDArray[Any],
     table: NDArray[Any],
@@ -125,6 +125,7 @@ def _sample(
     factor32: NDArray[Any],
     out: NDArray[Any],
 ) -> None:
+    """Do what `sample` does, with the table of normal quantiles (65536,) handed in."""
     n, n_joints = theta.shape
     noise = np.empty((n - 2, (len(out) - 1) * n_joints), dtype=np.float32)
     _look_up(bits, table, noise.reshape(-1))

@@ -10,9 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
+from planning_worlds import field_around, random_chain, random_points, random_spheres
 
 from humanpred_ros.errors import ArrayError, PlanningError
-from humanpred_ros.planning.costs import CostTerm, JointLimitCost, SmoothnessCost
+from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
+from humanpred_ros.planning.costs import CostTerm, HumanOccupancyCost, JointLimitCost, ObstacleCost, SmoothnessCost
 from humanpred_ros.planning.path import straight
 from humanpred_ros.planning.stomp import Plan, StompConfig, StompPlanner
 
@@ -148,12 +150,66 @@ def test_it_stays_within_limits_that_the_way_round_would_leave() -> None:
 
 def test_a_deadline_ends_it_with_the_best_so_far() -> None:
     asked = iter([False, False, False, True])
-    plan = planner().plan(LINE, np.random.default_rng(0), deadline=lambda: next(asked))
-    assert plan.iterations == 3
-    assert same(plan, planner(replace(CONFIG, n_iterations=3)).plan(LINE, np.random.default_rng(0))) or plan.total > 0
+    long = replace(CONFIG, n_iterations=5000)
+    plan = planner(long).plan(LINE, np.random.default_rng(0), deadline=lambda: next(asked))
+    assert 3 <= plan.iterations < 5000
+    # Nothing else was done than in a plan that was to end there.
+    assert same(plan, planner(replace(long, n_iterations=plan.iterations)).plan(LINE, np.random.default_rng(0)))
     none = planner().plan(LINE, np.random.default_rng(0), deadline=lambda: True)
     assert none.iterations == 0
     np.testing.assert_array_equal(none.waypoints, LINE)
+
+
+@pytest.mark.parametrize("portions", [[60], [1] * 60, [7, 1, 30, 100], [59, 1]])
+def test_portions_change_nothing(portions: list[int]) -> None:
+    whole = planner().plan(LINE, np.random.default_rng(3))
+    run = planner().begin(LINE, np.random.default_rng(3))
+    for portion in portions:
+        run.advance(portion)
+    assert run.finished
+    assert same(run.result(), whole)
+
+
+def test_a_plan_that_becomes_no_better_ends_early_if_asked_to() -> None:
+    patient = replace(CONFIG, n_iterations=400, patience=20, tolerance=0.05)
+    plan = planner(patient).plan(LINE, np.random.default_rng(0))
+    assert 20 < plan.iterations < 400
+    assert planner(replace(patient, patience=0)).plan(LINE, np.random.default_rng(0)).iterations == 400
+    # What is not allowed is never given up for good.
+    blocked = Disc([0.0, 0.0], 5.0, forbidden=4.0)
+    assert planner(patient, blocked).plan(LINE, np.random.default_rng(0)).iterations == 400
+
+
+def test_noise_can_be_changed_for_one_plan() -> None:
+    subject = planner()
+    still = subject.plan(LINE, np.random.default_rng(0), noise_std=(0.01, 1e-9))
+    assert np.abs(still.waypoints[:, 1] - LINE[:, 1]).max() < 1e-6
+    louder = planner(replace(CONFIG, noise_std=0.02)).plan(LINE, np.random.default_rng(0))
+    assert same(subject.plan(LINE, np.random.default_rng(0), noise_std=0.02), louder)
+    with pytest.raises(PlanningError, match="noise_std"):
+        subject.plan(LINE, np.random.default_rng(0), noise_std=(0.1, 0.1, 0.1))
+
+
+@settings(deadline=None, max_examples=12)
+@given(seed=st.integers(0, 2**32 - 1), n_reused=st.sampled_from([0, 3]))
+def test_the_compiled_loop_does_what_calling_term_by_term_does(seed: int, n_reused: int) -> None:
+    rng = np.random.default_rng(seed)
+    chain = random_chain(rng, 5)
+    occupied = rng.random((12, 12, 12)) < 0.05
+    obstacles = ObstacleCost(chain, random_spheres(rng, 5), field_around(occupied, (-1.0, -1.0, -1.0), 0.15), 10.0)
+    occupancy = Occupancy(VoxelGrid((-1.0, -1.0, -1.0), 0.1, (20, 20, 20)), rng.random((20, 20, 20), np.float32))
+    human = HumanOccupancyCost(chain, random_points(rng, 5), occupancy, 0.5)
+    config = StompConfig(n_waypoints=30, n_iterations=6, n_rollouts=8, n_reused=n_reused, noise_std=0.01)
+    terms = [obstacles, human, SmoothnessCost(10.0)]
+    both = [StompPlanner(order, [-3.0] * 5, [3.0] * 5, config) for order in (terms, [terms[2], *terms[:2]])]
+    assert both[0].compiled_terms is not None
+    assert both[1].compiled_terms is None
+    line = straight(rng.uniform(-2.0, 2.0, 5), rng.uniform(-2.0, 2.0, 5), 30)
+    one, other = (subject.plan(line, np.random.default_rng(1)) for subject in both)
+    assert one.iterations == other.iterations == 6
+    assert one.valid == other.valid
+    np.testing.assert_allclose(one.waypoints, other.waypoints, atol=2e-4)
+    assert one.total == pytest.approx(other.total, rel=1e-3)
 
 
 def test_shares_are_weighted_and_add_up() -> None:
@@ -173,6 +229,8 @@ def test_shares_are_weighted_and_add_up() -> None:
         {"noise_decay": 0.0},
         {"sharpness": 0.0},
         {"sharpness": 1000.0},
+        {"patience": -1},
+        {"tolerance": 1.0},
     ],
 )
 def test_impossible_settings_are_refused(change: dict[str, float]) -> None:
