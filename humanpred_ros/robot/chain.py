@@ -203,6 +203,42 @@ class BodySpheres:
         return _carried(chain, q, self.link, self.centre_m)
 
 
+@dataclass(frozen=True, eq=False)
+class BodyBoxes:
+    """Boxes that together fill the moving bodies, inside included, for what must not enter them.
+
+    Attributes:
+        link: (B,) index of the joint the box moves with.
+        lower_m, upper_m: (B, 3) corners in that joint's frame, along whose axes the box lies.
+    """
+
+    link: NDArray[np.int64]
+    lower_m: FloatArray
+    upper_m: FloatArray
+
+    def __post_init__(self) -> None:
+        link, lower = _attached("body boxes", self.link, self.lower_m)
+        upper = checked("body boxes", self.upper_m, (len(link), 3))
+        if not (lower < upper).all():
+            raise ArrayError("body boxes: wanted lower < upper along every axis, got a box without volume")
+        object.__setattr__(self, "link", link)
+        object.__setattr__(self, "lower_m", lower)
+        object.__setattr__(self, "upper_m", frozen(upper))
+
+    def __len__(self) -> int:
+        return len(self.link)
+
+
+def reach_m(chain: KinematicChain, spheres: BodySpheres) -> tuple[FloatArray, float]:
+    """Return centre (3,) and radius of a ball that the spheres on a chain never leave, world frame, metres."""
+    lengths = np.linalg.norm(chain.joint_origin_m, axis=1)
+    to_joint = np.concatenate([[0.0], np.cumsum(lengths[1:])])
+    beyond = np.linalg.norm(spheres.centre_m, axis=1) + spheres.radius_m
+    root = chain.T_world_root
+    centre: FloatArray = root[:3, :3] @ chain.joint_origin_m[0] + root[:3, 3]
+    return centre, float((to_joint[spheres.link] + beyond).max())
+
+
 def axis_rotation(axis: FloatArray, angle: ArrayLike) -> FloatArray:
     """Return the (..., 3, 3) rotations about the unit vector `axis` (3,) by `angle` (...) rad (Rodrigues)."""
     angle = np.asarray(angle, dtype=np.float64)[..., None, None]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from humanpred_ros.checks import FloatArray, checked
+from humanpred_ros.errors import ArrayError
 from humanpred_ros.robot.chain import BodySpheres
 from humanpred_ros.robot.distance_field import SignedDistanceField
 from humanpred_ros.robot.pr2 import Pr2Arm
@@ -49,12 +50,20 @@ def arm_clearance(arm: Pr2Arm, spheres: BodySpheres, field: SignedDistanceField,
 
 def nearest_approach(arm: Pr2Arm, spheres: BodySpheres, obstacles: Sequence[Obstacle], q: FloatArray) -> Approach:
     """Return where the arm at configuration `q` (7,) comes closest to the obstacles, exactly (no grid)."""
-    q = checked("configuration", q, (arm.chain.n_joints,))
+    return nearest_approaches(arm, spheres, obstacles, checked("configuration", q, (arm.chain.n_joints,))[None])[0]
+
+
+def nearest_approaches(
+    arm: Pr2Arm, spheres: BodySpheres, obstacles: Sequence[Obstacle], q: FloatArray
+) -> tuple[Approach, ...]:
+    """Return where the arm comes closest to the obstacles at each of the configurations `q` (N, 7), exactly."""
+    q = checked("configurations", q, ("N", arm.chain.n_joints))
+    if not obstacles:
+        raise ArrayError("nearest approach: wanted at least one obstacle, got none")
     centres = spheres.world_m(arm.chain, q)
-    clearance = np.array([obstacle.shape.distance(centres) for obstacle in obstacles]) - spheres.radius_m
-    which, sphere = divmod(int(np.argmin(clearance)), len(spheres))
-    return Approach(
-        link=arm.link_names[spheres.link[sphere]],
-        obstacle=obstacles[which].name,
-        clearance_m=float(clearance[which, sphere]),
-    )
+    clearance = np.stack([obstacle.shape.distance(centres) for obstacle in obstacles], axis=1) - spheres.radius_m
+    found = []
+    for one in clearance:
+        which, sphere = divmod(int(np.argmin(one)), len(spheres))
+        found.append(Approach(arm.link_names[spheres.link[sphere]], obstacles[which].name, float(one[which, sphere])))
+    return tuple(found)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import GoalUnreachableError, SceneError
-from humanpred_ros.robot.chain import BodyPoints, BodySpheres, KinematicChain
+from humanpred_ros.robot.chain import BodyBoxes, BodyPoints, BodySpheres, KinematicChain, reach_m
 from humanpred_ros.robot.shapes import Box, Obstacle
 from humanpred_ros.robot.surface import Bounds, covering_boxes, covering_spheres, sample
 from humanpred_ros.robot.urdf_model import LinkSurface, UrdfModel, find_pr2_urdf
@@ -45,6 +45,7 @@ BODY_POINT_SPACING_M = 0.04
 """Between 3 and 5 cm: fine against a forearm's width, coarse enough for some 180 points."""
 
 _FIRST_BODY_JOINT = RIGHT_ARM_JOINTS.index("r_upper_arm_roll_joint")
+_ELBOW_JOINT = RIGHT_ARM_JOINTS.index("r_elbow_flex_joint")
 # The radius of each limb's cross-section plus about 1 cm: smaller spheres would need several rows, larger ones
 # stick out farther. The thin fingertips get small ones, because goals beside a cup leave them 1 cm.
 _LARGEST_SPHERE_M = {
@@ -57,6 +58,7 @@ _LARGEST_SPHERE_M = {
     "r_gripper_r_finger_tip_link": 0.03,
 }
 _LARGEST_OTHER_SPHERE_M = 0.05
+_LARGEST_SHOULDER_SPHERE_M = 0.1  # only decides whether a scene leaves the shoulder room
 _LEAST_SAVING_M3 = 0.0005  # half a litre: some 60 boxes in all; the torso's are 0.064 m3, one box would be 0.173
 _LIMIT_TOLERANCE_RAD = 1e-6  # limits are written with about ten digits, scene angles with six
 
@@ -70,6 +72,7 @@ class Pr2Arm:
         tool_frame: name of the frame that `chain.tool_pose` gives.
         T_world_base: (4, 4) pose of base_footprint.
         torso_lift_m, left_arm_rad: the fixed joints.
+        urdf: the file everything comes from.
 
     Args:
         T_world_base: (4, 4) pose of base_footprint, on the floor between the wheels.
@@ -96,8 +99,8 @@ class Pr2Arm:
             array.setflags(write=False)
         fixed = {"torso_lift_joint": self.torso_lift_m}
         fixed.update(zip(LEFT_ARM_JOINTS, map(float, self.left_arm_rad), strict=True))
-        self._path = urdf or find_pr2_urdf()
-        self._urdf = UrdfModel(self._path, self.T_world_base, fixed)
+        self.urdf = urdf or find_pr2_urdf()
+        self._urdf = UrdfModel(self.urdf, self.T_world_base, fixed)
         for joint, value in fixed.items():
             self._check_fixed(joint, value)
         self.chain: KinematicChain = self._urdf.chain(RIGHT_ARM_JOINTS, TOOL_FRAME)
@@ -123,9 +126,18 @@ class Pr2Arm:
     def spheres(self) -> BodySpheres:
         """Cover the surface of upper arm, elbow, forearm, wrist and gripper with spheres, in joint order.
 
-        The turret and the shoulder are left out: they stay within 5 cm of the torso by construction.
+        The turret and the shoulder are left out: they never touch the torso, and a scene whose obstacles they
+        could reach is refused.
         """
-        return _sphere_cover(self._path)
+        return _sphere_cover(self.urdf)
+
+    def shoulder_spheres(self) -> BodySpheres:
+        """Cover what `spheres` leaves out, turret and shoulder, in joint order."""
+        return _shoulder_cover(self.urdf)
+
+    def inner_boxes(self) -> BodyBoxes:
+        """Fill turret, shoulder and upper arm with boxes, in joint order: what forearm and hand can run into."""
+        return _inner_box_cover(self.urdf)
 
     @cached_property
     def fixed_obstacles(self) -> tuple[Obstacle, ...]:
@@ -133,11 +145,11 @@ class Pr2Arm:
 
         No body is left out: the arm's spheres begin at the upper arm, whose mesh keeps 0.08 m or more from
         all of them in the authors' configurations. What the arm does to itself (forearm against turret) is
-        not looked at.
+        `SelfCollision`'s.
         """
         obstacles = []
         surfaces = self._urdf.fixed_surfaces(RIGHT_ARM_JOINTS)
-        for (surface, T_world_frame), boxes in zip(surfaces, _box_covers(self._path), strict=True):
+        for (surface, T_world_frame), boxes in zip(surfaces, _box_covers(self.urdf), strict=True):
             for lower, upper in boxes:
                 T_world_box = T_world_frame.copy()
                 T_world_box[:3, 3] += T_world_frame[:3, :3] @ ((lower + upper) / 2.0)
@@ -147,14 +159,7 @@ class Pr2Arm:
     @cached_property
     def reach(self) -> tuple[FloatArray, float]:
         """Centre (3,) and radius of a ball that the moving bodies never leave, world frame, metres."""
-        lengths = np.linalg.norm(self.chain.joint_origin_m, axis=1)
-        to_joint = np.concatenate([[0.0], np.cumsum(lengths[1:])])
-        spheres = self.spheres()
-        beyond = np.linalg.norm(spheres.centre_m, axis=1) + spheres.radius_m
-        radius = float((to_joint[spheres.link] + beyond).max())
-        root = self.chain.T_world_root
-        centre: FloatArray = root[:3, :3] @ self.chain.joint_origin_m[0] + root[:3, 3]
-        return centre, radius
+        return reach_m(self.chain, self.spheres())
 
     def difference(self, q_from: ArrayLike, q_to: ArrayLike) -> FloatArray:
         """Return the change (..., J) that leads from one configuration to another.
@@ -214,11 +219,20 @@ def _moving_surfaces(model: UrdfModel) -> list[list[LinkSurface]]:
 
 @lru_cache(maxsize=2)
 def _sphere_cover(urdf: Path) -> BodySpheres:
+    return _covered(_moving_surfaces(UrdfModel(urdf, np.eye(4), {})), _FIRST_BODY_JOINT, _LARGEST_OTHER_SPHERE_M)
+
+
+@lru_cache(maxsize=2)
+def _shoulder_cover(urdf: Path) -> BodySpheres:
+    inner = UrdfModel(urdf, np.eye(4), {}).moving_surfaces(RIGHT_ARM_JOINTS)[:_FIRST_BODY_JOINT]
+    return _covered(inner, 0, _LARGEST_SHOULDER_SPHERE_M)
+
+
+def _covered(moving: list[list[LinkSurface]], first_joint: int, largest_m: float) -> BodySpheres:
     link, centres, radii = [], [], []
-    for joint, surfaces in enumerate(_moving_surfaces(UrdfModel(urdf, np.eye(4), {})), start=_FIRST_BODY_JOINT):
+    for joint, surfaces in enumerate(moving, start=first_joint):
         for surface in surfaces:
-            largest = _LARGEST_SPHERE_M.get(surface.link, _LARGEST_OTHER_SPHERE_M)
-            centre, radius = covering_spheres(surface.triangles, largest)
+            centre, radius = covering_spheres(surface.triangles, _LARGEST_SPHERE_M.get(surface.link, largest_m))
             link.append(np.full(len(radius), joint))
             centres.append(centre)
             radii.append(radius)
@@ -229,3 +243,16 @@ def _sphere_cover(urdf: Path) -> BodySpheres:
 def _box_covers(urdf: Path) -> tuple[tuple[Bounds, ...], ...]:
     surfaces = UrdfModel(urdf, np.eye(4), {}).fixed_surfaces(RIGHT_ARM_JOINTS)
     return tuple(tuple(covering_boxes(surface.triangles, _LEAST_SAVING_M3)) for surface, _ in surfaces)
+
+
+@lru_cache(maxsize=2)
+def _inner_box_cover(urdf: Path) -> BodyBoxes:
+    link, lower, upper = [], [], []
+    inner = UrdfModel(urdf, np.eye(4), {}).moving_surfaces(RIGHT_ARM_JOINTS)[:_ELBOW_JOINT]
+    for joint, surfaces in enumerate(inner):
+        for surface in surfaces:
+            for low, high in covering_boxes(surface.triangles, _LEAST_SAVING_M3):
+                link.append(joint)
+                lower.append(low)
+                upper.append(high)
+    return BodyBoxes(np.array(link), np.array(lower), np.array(upper))

@@ -5,8 +5,9 @@ A scene that loads can be planned in: every configuration lies within the joint 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -15,19 +16,13 @@ from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import ArrayError, GoalUnreachableError, SceneError
 from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.resources import share_file
-from humanpred_ros.robot.clearance import nearest_approach
+from humanpred_ros.robot.contact import nearest_contacts, shoulder_approach
 from humanpred_ros.robot.distance_field import DEFAULT_RESOLUTION_M, SignedDistanceField, build_distance_field
+from humanpred_ros.robot.goal import Goal as Goal  # part of a scene, so importable from here
+from humanpred_ros.robot.goal_file import GOAL_KEYS, parse_goals
 from humanpred_ros.robot.pr2 import LEFT_ARM_JOINTS, RIGHT_ARM_JOINTS, Pr2Arm
 from humanpred_ros.robot.scene_file import Section, read_yaml
 from humanpred_ros.robot.shapes import Box, Cylinder, Obstacle, planar_pose
-
-
-@dataclass(frozen=True, eq=False)
-class Goal:
-    """A task of the robot: bring the arm to `configuration` (7,) rad."""
-
-    name: str
-    configuration: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +36,7 @@ class Scene:
         left_arm_rad: (7,) configuration of the resting left arm.
         start: (7,) configuration of the right arm at the beginning.
         goals: at least one, with different names; continuous joints are unwrapped so that
-            `goal.configuration - start` is the shorter way.
+            `goal.configurations - start` is the shorter way.
         table: the table's top.
         objects: what stands on it.
         T_world_human: (4, 4) pose of the tracker's frame, in which postures are given.
@@ -80,9 +75,8 @@ class Scene:
         object.__setattr__(self, "start", frozen(start))
         unwrapped = []
         for goal in self.goals:
-            configuration = self.arm.check_configuration(goal.configuration, self._call(goal))
-            shorter = start + self.arm.difference(start, configuration)
-            unwrapped.append(Goal(goal.name, np.asarray(frozen(shorter), dtype=np.float64)))
+            within = [self.arm.check_configuration(q, what) for what, q in self._called(goal)]
+            unwrapped.append(replace(goal, configurations=start + self.arm.difference(start, np.array(within))))
         object.__setattr__(self, "goals", tuple(unwrapped))
 
     @cached_property
@@ -117,23 +111,33 @@ class Scene:
         return build_distance_field(obstacles, centre - radius, centre + radius, resolution_m)
 
     def check_free(self) -> None:
-        """Check that the arm touches nothing at the start and at every goal.
+        """Check that the arm touches nothing, itself included, at the start and at every goal.
 
         Raises:
-            GoalUnreachableError: naming configuration, link, obstacle and depth.
+            GoalUnreachableError: naming configuration, link, obstacle (or other link) and depth.
+            SceneError: if table or an object stands where the robot's shoulder can get to.
         """
-        spheres = self.arm.spheres()
-        obstacles = (*self.obstacles, *self.arm.fixed_obstacles)
-        for what, q in [("start", self.start), *((self._call(goal), goal.configuration) for goal in self.goals)]:
-            nearest = nearest_approach(self.arm, spheres, obstacles, q)
+        named = [(f"start of scene {self.name}", self.start), *chain(*map(self._called, self.goals))]
+        contacts = nearest_contacts(self.arm, self.obstacles, np.array([q for _, q in named]))
+        for (what, _), nearest in zip(named, contacts, strict=True):
             if nearest.clearance_m < 0.0:
                 raise GoalUnreachableError(
-                    f"{what} of scene {self.name}: wanted the arm free of obstacles, got {nearest.link} "
+                    f"{what}: wanted the arm free of obstacles and of itself, got {nearest.link} "
                     f"{-nearest.clearance_m:.3f} m deep in {nearest.obstacle}; move the obstacle or the configuration"
                 )
+        shoulder = shoulder_approach(self.arm, self.obstacles)
+        if shoulder.clearance_m < 0.0:
+            raise SceneError(
+                f"scene {self.name}: wanted nothing where the robot's shoulder can get to, which planners do not "
+                f"look at, got {shoulder.obstacle} within reach of {shoulder.link}; move it or the robot"
+            )
 
-    def _call(self, goal: Goal) -> str:
-        return f"goal {goal.name!r} of scene {self.name}"
+    def _called(self, goal: Goal) -> list[tuple[str, FloatArray]]:
+        """Return each configuration of a goal with what messages call it."""
+        what, n = f"goal {goal.name!r} of scene {self.name}", len(goal.configurations)
+        return [
+            (what if n == 1 else f"{what}, configuration {i} of {n}", q) for i, q in enumerate(goal.configurations, 1)
+        ]
 
 
 def scene_names() -> tuple[str, ...]:
@@ -149,7 +153,8 @@ def load_scene(name_or_path: str | Path) -> Scene:
 
     Raises:
         SceneError: for a file that cannot be read, unknown or missing keys, impossible values.
-        GoalUnreachableError: for a start or goal outside the joint limits or in collision.
+        GoalUnreachableError: for a start or goal outside the joint limits or in collision, and for a tool pose
+            that no configuration reaches without collision.
     """
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
@@ -177,22 +182,25 @@ def _parse(top: Section) -> Scene:
     robot = top.section("robot", ("base_xy_m", "yaw_angle", "torso_lift_m", "left_arm_angle"))
     human = top.section("human", ("offset_m", "yaw_angle"))
     grid = top.section("grid", ("origin_m", "resolution_m", "shape"))
-    table = top.section("table", ("top_centre_m", "size_m", "yaw_angle"))
     base, offset = robot.numbers("base_xy_m", 2), human.numbers("offset_m", 3)
-    n = len(RIGHT_ARM_JOINTS)
-    goals = tuple(
-        Goal(entry.text("name"), entry.angles("configuration", n))
-        for entry in top.sections("goals", ("name", "configuration_angle"))
+    arm = Pr2Arm(
+        planar_pose(base[0], base[1], 0.0, robot.angle("yaw")),
+        robot.number("torso_lift_m"),
+        robot.angles("left_arm", len(LEFT_ARM_JOINTS)),
     )
+    name = top.text("name")
+    start = arm.check_configuration(top.angles("start", len(RIGHT_ARM_JOINTS)), f"start of scene {name}")
+    table = Obstacle("table", _table(top.section("table", ("top_centre_m", "size_m", "yaw_angle"))))
+    objects = tuple(_object(entry) for entry in top.sections("objects", ("name", "base_m", "radius_m", "height_m")))
     return Scene(
-        name=top.text("name"),
-        T_world_base=planar_pose(base[0], base[1], 0.0, robot.angle("yaw")),
-        torso_lift_m=robot.number("torso_lift_m"),
-        left_arm_rad=robot.angles("left_arm", len(LEFT_ARM_JOINTS)),
-        start=top.angles("start", n),
-        goals=goals,
-        table=Obstacle("table", _table(table)),
-        objects=tuple(_object(entry) for entry in top.sections("objects", ("name", "base_m", "radius_m", "height_m"))),
+        name=name,
+        T_world_base=arm.T_world_base,
+        torso_lift_m=arm.torso_lift_m,
+        left_arm_rad=arm.left_arm_rad,
+        start=start,
+        goals=parse_goals(top.sections("goals", GOAL_KEYS), arm, start, (table, *objects)),
+        table=table,
+        objects=objects,
         T_world_human=planar_pose(offset[0], offset[1], offset[2], human.angle("yaw")),
         grid=VoxelGrid(
             tuple(grid.numbers("origin_m", 3)),

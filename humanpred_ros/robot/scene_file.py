@@ -36,6 +36,11 @@ class Section:
             raise SceneError(f"{where}: unknown key {', '.join(unknown)}; valid keys are {', '.join(valid)}")
         self._content: dict[str, Any] = content
 
+    @property
+    def where(self) -> str:
+        """The section's place in the file, for messages."""
+        return self._where
+
     def __contains__(self, key: str) -> bool:
         return any(spelling in self._content for spelling in _spellings(key))
 
@@ -60,6 +65,16 @@ class Section:
         """Return `count` finite numbers."""
         return checked(f"{self._where}: {key}", self.value(key), (count,), error=SceneError)
 
+    def each(self, key: str, count: int) -> FloatArray:
+        """Return `count` finite numbers, all the same where the file has only one."""
+        one = np.ndim(self.value(key)) == 0
+        return np.full(count, self.number(key)) if one else self.numbers(key, count)
+
+    def each_angle(self, name: str, count: int) -> FloatArray:
+        """Return `count` angles in rad from `<name>_rad` or `<name>_deg`, all the same where it has only one."""
+        one = np.ndim(self._content[self._angle_key(name)]) == 0
+        return np.full(count, self.angle(name)) if one else self.angles(name, count)
+
     def angles(self, name: str, count: int) -> FloatArray:
         """Return `count` angles in rad from `<name>_rad` or `<name>_deg`."""
         return self._angle(name, (count,))
@@ -80,13 +95,17 @@ class Section:
         return [Section(entry, f"{self._where}: {key}[{i}]", keys) for i, entry in enumerate(entries)]
 
     def _angle(self, name: str, shape: tuple[int, ...]) -> FloatArray:
+        key = self._angle_key(name)
+        angles = checked(f"{self._where}: {key}", self._content[key], shape, error=SceneError)
+        return np.deg2rad(angles) if key.endswith("_deg") else angles
+
+    def _angle_key(self, name: str) -> str:
         given = [spelling for spelling in _spellings(f"{name}_angle") if spelling in self._content]
         if len(given) != 1:
             raise SceneError(
                 f"{self._where}: wanted either {name}_rad or {name}_deg, got {' and '.join(given) or 'neither'}"
             )
-        angles = checked(f"{self._where}: {given[0]}", self._content[given[0]], shape, error=SceneError)
-        return np.deg2rad(angles) if given[0].endswith("_deg") else angles
+        return given[0]
 
 
 def read_yaml(path: Path) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import yaml
 
 from humanpred_ros.errors import GoalUnreachableError, HumanPredError, SceneError
 from humanpred_ros.resources import share_file
-from humanpred_ros.robot.scene import Scene, load_scene, scene_names
+from humanpred_ros.robot.scene import Goal, Scene, load_scene, scene_names
 
 FACE, SIDE = load_scene("face_to_face"), load_scene("side_by_side")
 
@@ -66,7 +67,7 @@ def test_the_tool_is_above_the_places_that_people_reach_for() -> None:
 
 
 def test_scenes_hold_what_the_experiments_need() -> None:
-    assert scene_names() == ("face_to_face", "four_places", "side_by_side")
+    assert scene_names() == ("face_to_face", "four_places", "side_by_side", "tool_poses")
     assert [goal.name for goal in FACE.goals] == ["red", "blue"]
     assert [goal.name for goal in SIDE.goals] == ["red"]
     for scene in (FACE, SIDE):
@@ -96,6 +97,11 @@ def test_loading_twice_gives_the_same_scene() -> None:
     np.testing.assert_array_equal(again.start, FACE.start)
     np.testing.assert_array_equal(again.distance_field(0.1).values, FACE.distance_field(0.1).values)
 
+
+# Found by drawing at random: the forearm is in the turret, everything else 0.09 m away.
+OWN_TURRET = [-0.77, 0.74, -3.57, -2.19, -2.07, -0.56, 0.89]
+# 0.2 m beside the pan axis, below the upper arm: the turret ends 0.229 m from its axis.
+SHOULDER_SIDE_M = [-0.3635, 0.0698, 0.75]
 
 Change = Callable[[dict[str, Any]], object]
 
@@ -147,6 +153,18 @@ WRONG: dict[str, tuple[Change, type[HumanPredError], str]] = {
         GoalUnreachableError,
         r"goal 'blue' of scene .* r_wrist_roll_link .* m deep in blue cup",
     ),
+    "start in its own turret": (
+        lambda s: (s.pop("start_deg"), s.update(start_rad=OWN_TURRET)),
+        GoalUnreachableError,
+        r"start of scene .* got r_\w+_link 0\.\d\d\d m deep in r_shoulder_pan_link",
+    ),
+    "post in the shoulder's way": (
+        lambda s: s["objects"].append({"name": "post", "base_m": SHOULDER_SIDE_M, "radius_m": 0.02, "height_m": 0.1}),
+        SceneError,
+        "shoulder can get to, .* got post within reach of r_shoulder_pan_link",
+    ),
+    "negative task cost": (lambda s: s["goals"][0].update(task_cost=-1), SceneError, "goal 'red'.*task_cost"),
+    "task cost that is no number": (lambda s: s["goals"][0].update(task_cost="low"), SceneError, "goals.0.: task_cost"),
     "start in the robot itself": (
         lambda s: s.update(start_deg=[20.0, 0.0, -90.0, -130.0, 0.0, -90.0, 0.0]),
         GoalUnreachableError,
@@ -164,6 +182,125 @@ def test_wrong_scenes_are_refused_with_the_reason(wrong: str, tmp_path: Path) ->
     path.write_text(yaml.safe_dump(content))
     with pytest.raises(error, match=words):
         load_scene(path)
+
+
+def tool_pose_of(content: dict[str, Any]) -> dict[str, Any]:
+    """State the first goal of face_to_face as a tool pose instead, and return that."""
+    goal = content["goals"][0]
+    del goal["configuration_deg"]
+    goal["tool_pose"] = {
+        "position_m": [-0.304, -0.696, 0.96],
+        "orientation_deg": [0, 90, 0],
+        "position_tolerance_m": 0.02,
+        "orientation_tolerance_deg": [180, 20, 20],
+    }
+    pose: dict[str, Any] = goal["tool_pose"]
+    return pose
+
+
+WRONG_TOOL_POSES: dict[str, tuple[Change, type[HumanPredError], str]] = {
+    "both ways": (
+        lambda s: (tool_pose_of(s), s["goals"][0].update(configuration_rad=[0.0] * 7)),
+        SceneError,
+        r"goals\[0\]: wanted either configuration_rad or configuration_deg or tool_pose, got both",
+    ),
+    "neither way": (lambda s: s["goals"][0].pop("configuration_deg"), SceneError, r"goals\[0\]: .* got neither"),
+    "unknown key": (lambda s: tool_pose_of(s).update(frame="tool"), SceneError, "tool_pose: unknown key frame"),
+    "no position": (
+        lambda s: tool_pose_of(s).pop("position_m"),
+        SceneError,
+        "tool_pose: the key position_m is missing",
+    ),
+    "no tolerance": (
+        lambda s: tool_pose_of(s).pop("orientation_tolerance_deg"),
+        SceneError,
+        "orientation_tolerance_rad or orientation_tolerance_deg, got neither",
+    ),
+    "negative tolerance": (
+        lambda s: tool_pose_of(s).update(position_tolerance_m=-0.01),
+        SceneError,
+        "goal 'red': tool pose position_tolerance_m: wanted numbers of at least 0",
+    ),
+    "two tolerances": (
+        lambda s: tool_pose_of(s).update(position_tolerance_m=[0.1, 0.1]),
+        SceneError,
+        r"position_tolerance_m: wanted shape \(3,\), got \(2,\)",
+    ),
+    "tolerance that is text": (
+        lambda s: tool_pose_of(s).update(orientation_tolerance_deg="free"),
+        SceneError,
+        "orientation_tolerance_deg: wanted numbers",
+    ),
+    "out of reach": (
+        lambda s: tool_pose_of(s).update(position_m=[-0.3, -2.5, 0.9]),
+        GoalUnreachableError,
+        r"goal 'red': .* the closest stays \d\.\d\d\d m and .* deg beyond the tolerances",
+    ),
+    "in the table": (
+        lambda s: tool_pose_of(s).update(position_m=[0.2, -0.6, 0.7]),
+        GoalUnreachableError,
+        r"goal 'red': .* r_\w+_link 0\.\d\d\d m deep in table",
+    ),
+    "start outside limits": (
+        lambda s: (tool_pose_of(s), s["start_deg"].__setitem__(0, 90.0)),
+        GoalUnreachableError,
+        "start of scene face_to_face: wanted r_shoulder_pan_joint",
+    ),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG_TOOL_POSES)
+def test_wrong_tool_poses_are_refused_with_the_reason(wrong: str, tmp_path: Path) -> None:
+    change, error, words = WRONG_TOOL_POSES[wrong]
+    content = yaml.safe_load(share_file("config", "scenes", "face_to_face.yaml").read_text())
+    change(content)
+    path = tmp_path / "changed.yaml"
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(error, match=words):
+        load_scene(path)
+
+
+def test_tool_poses_and_configurations_may_stand_side_by_side(tmp_path: Path) -> None:
+    content = yaml.safe_load(share_file("config", "scenes", "face_to_face.yaml").read_text())
+    pose = tool_pose_of(content)
+    pose["orientation_rad"] = [float(np.deg2rad(angle)) for angle in pose.pop("orientation_deg")]
+    content["goals"][1]["task_cost"] = 0.25
+    path = tmp_path / "changed.yaml"
+    path.write_text(yaml.safe_dump(content))
+    scene = load_scene(path)
+    assert len(scene.goal("red").configurations) > 1
+    np.testing.assert_allclose(scene.goal("blue").configurations, FACE.goal("blue").configurations)
+    assert (scene.goal("red").task_cost, scene.goal("blue").task_cost) == (0.0, 0.25)
+
+
+def test_tool_poses_of_the_example_are_finished_by_every_configuration() -> None:
+    scene = load_scene("tool_poses")
+    assert [goal.task_cost for goal in scene.goals] == [0.0, 0.0, 0.05]
+    for goal in scene.goals:
+        assert 2 <= len(goal.configurations) <= 6
+        tool = scene.arm.chain.tool_pose(goal.configurations)
+        cup = next(cup for cup in scene.objects if cup.name in goal.name)
+        centre = cup.shape.T_world_shape[:3, 3]
+        if goal.name.startswith("above"):
+            assert np.abs(tool[:, :2, 3] - centre[:2]).max() <= 0.021, "position tolerance"
+            # Two tilts of at most 20 degrees each.
+            assert tool[:, 2, 0].max() <= -np.cos(np.deg2rad(20.0) * np.sqrt(2.0)) + 1e-9, "pointing down"
+        else:
+            assert (tool[:, 1, 0] < -0.7).all(), "pointing away from the robot, at the cup"
+
+
+def test_every_configuration_of_a_goal_goes_the_shorter_way_and_is_checked() -> None:
+    red, blue = (FACE.goal(name).configuration for name in ("red", "blue"))
+    both = np.stack([red, blue]) + 4.0 * np.pi * FACE.arm.chain.continuous
+    scene = replace(FACE, goals=(Goal("either", both, task_cost=0.1),))
+    np.testing.assert_allclose(scene.goals[0].configurations, [red, blue], atol=1e-9)
+    assert scene.goals[0].task_cost == 0.1
+    scene.check_free()
+    turret = replace(FACE, goals=(Goal("either", np.stack([red, OWN_TURRET])),))
+    with pytest.raises(GoalUnreachableError, match=r"goal .either. .*, configuration 2 of 2: .* itself"):
+        turret.check_free()
+    with pytest.raises(GoalUnreachableError, match="configuration 2 of 2: wanted r_shoulder_pan_joint"):
+        replace(FACE, goals=(Goal("either", np.stack([red, np.ones(7)])),))
 
 
 def test_radians_and_degrees_say_the_same(tmp_path: Path) -> None:

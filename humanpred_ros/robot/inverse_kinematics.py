@@ -1,0 +1,185 @@
+"""Configurations that bring the tool to a pose: a seven-joint arm has a whole curve of them, or none.
+
+Many seeds are solved at once by damped least squares, as one batch: the damping follows the remaining error
+(Sugihara 2011), joints that would leave their limits are stopped there and the others make up for it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from humanpred_ros.checks import FloatArray, checked
+from humanpred_ros.errors import UsageError
+from humanpred_ros.robot.pr2 import Pr2Arm
+from humanpred_ros.robot.tool_pose import ToolPose
+
+_CONVERGED = 1e-6
+"""Error left of a solution, m and rad: far below what a robot's encoders tell apart."""
+_DAMPING = 1e-2
+_LEAST_DAMPING = 1e-12
+_LARGEST_STEP_RAD = 0.6
+_PULL = 0.3
+
+
+@dataclass(frozen=True)
+class InverseKinematicsConfig:
+    """How hard solutions are looked for.
+
+    Attributes:
+        n_seeds: configurations to begin from; the first is the start.
+        n_iterations: of every seed at most.
+        seed: of the offset of the low-discrepancy sequence that the seeds are taken from.
+        limit_margin_rad: solutions stay this far from the joint limits: on a limit, single precision may be beyond.
+        duplicate_distance: solutions closer than this (configuration distance) count as one.
+    """
+
+    n_seeds: int = 128
+    n_iterations: int = 60
+    seed: int = 0
+    limit_margin_rad: float = 0.02
+    duplicate_distance: float = 0.02
+
+    def __post_init__(self) -> None:
+        if self.n_seeds < 1 or self.n_iterations < 1:
+            raise UsageError(
+                "inverse kinematics: wanted n_seeds >= 1 and n_iterations >= 1, "
+                f"got {self.n_seeds} and {self.n_iterations}"
+            )
+        if not (0.0 <= self.limit_margin_rad < 1.0 and self.duplicate_distance >= 0.0):
+            raise UsageError(
+                "inverse kinematics: wanted a limit_margin_rad from 0 to 1 and a duplicate_distance >= 0, "
+                f"got {self.limit_margin_rad} and {self.duplicate_distance}"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class InverseKinematics:
+    """What was found.
+
+    Attributes:
+        configurations: (K, 7) rad, the nearest to the start first, continuous joints the shorter way from it;
+            K = 0 if the pose was not reached.
+        missing_m, missing_rad: how far beyond its tolerances the tool stays at best, 0 if it was reached.
+    """
+
+    configurations: FloatArray
+    missing_m: float
+    missing_rad: float
+
+
+def solve_tool_pose(
+    arm: Pr2Arm, target: ToolPose, start: ArrayLike, config: InverseKinematicsConfig | None = None
+) -> InverseKinematics:
+    """Find different configurations within the joint limits whose tool pose is within a target's tolerances.
+
+    Every second seed is drawn towards the start while it converges, so that the nearest solutions are
+    among those found; the others spread over all there are. The same arguments give the same result.
+
+    Args:
+        start: (7,) rad, what nearness is measured from.
+
+    Raises:
+        ArrayError: for a start of another shape or not finite.
+    """
+    config = config or InverseKinematicsConfig()
+    start = checked("inverse kinematics: start", start, (arm.chain.n_joints,))
+    lower, upper = arm.chain.lower + config.limit_margin_rad, arm.chain.upper - config.limit_margin_rad
+    inside = target.tightened(2.0 * _CONVERGED)
+    q = _seeds(arm, start, lower, upper, config)
+    drawn = np.arange(len(q)) % 2 == 0
+    error = np.full((len(q), 6), np.inf)
+    active = np.arange(len(q))
+    pulling = config.n_iterations // 2
+    for iteration in range(config.n_iterations + 1):
+        if iteration < pulling:
+            # A drawn seed gives way to the pull, then returns to the tolerances: it slides along the solutions.
+            q[drawn] += _PULL * (1.0 - iteration / pulling) * arm.difference(q[drawn], start)
+        error[active] = inside.error(arm.chain.tool_pose(q[active]))
+        active = np.flatnonzero((_missing(error) > _CONVERGED).any(axis=1) | (drawn & (iteration < pulling)))
+        if len(active) == 0 or iteration == config.n_iterations:
+            break
+        q[active] = _stepped(arm, q[active], error[active], lower, upper)
+    missing = _missing(error)
+    reached = (missing <= _CONVERGED).all(axis=1)
+    if not reached.any():
+        best = int(np.argmin(np.linalg.norm(error, axis=1)))
+        return InverseKinematics(np.empty((0, arm.chain.n_joints)), float(missing[best, 0]), float(missing[best, 1]))
+    solutions = start + arm.difference(start, q[reached])
+    solutions = solutions[np.argsort(arm.configuration_distance(start, solutions), kind="stable")]
+    return InverseKinematics(spread(arm, solutions, config.duplicate_distance), 0.0, 0.0)
+
+
+def spread(arm: Pr2Arm, configurations: FloatArray, separation: float, most: int | None = None) -> FloatArray:
+    """Return the first configurations (K, 7) that keep a configuration distance from all kept before them.
+
+    Args:
+        configurations: (N, 7), the most wanted first.
+        separation: least distance between two that are kept.
+        most: how many are kept at most, as many as there are by default.
+    """
+    kept: list[int] = []
+    room = np.full(len(configurations), np.inf)
+    for i in range(len(configurations)):
+        if room[i] >= separation and (most is None or len(kept) < most):
+            kept.append(i)
+            room = np.minimum(room, arm.configuration_distance(configurations[i], configurations))
+    return configurations[kept]
+
+
+def _missing(error: FloatArray) -> FloatArray:
+    """Return the lengths (N, 2), m and rad, of errors (N, 6)."""
+    length: FloatArray = np.linalg.norm(error.reshape(-1, 2, 3), axis=2)
+    return length
+
+
+def _seeds(
+    arm: Pr2Arm, start: FloatArray, lower: FloatArray, upper: FloatArray, config: InverseKinematicsConfig
+) -> FloatArray:
+    """Return seeds (N, 7) within the limits, the start first."""
+    endless = arm.chain.continuous
+    low, high = np.where(endless, start - np.pi, lower), np.where(endless, start + np.pi, upper)
+    n = arm.chain.n_joints
+    # Even in every dimension: multiples of the powers of the root of x^(n + 1) = x + 1 (Roberts 2018).
+    root = 2.0
+    for _ in range(50):
+        root = (1.0 + root) ** (1.0 / (n + 1))
+    offset = np.random.default_rng(config.seed).random(n)
+    draws = (offset + np.arange(config.n_seeds)[:, None] * root ** -np.arange(1.0, n + 1.0)) % 1.0
+    seeds: FloatArray = low + draws * (high - low)
+    seeds[0] = np.clip(start, lower, upper)
+    return seeds
+
+
+def _stepped(arm: Pr2Arm, q: FloatArray, error: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Return configurations (N, 7) after one step against the errors (N, 6), within the limits."""
+    J = _jacobian(arm, q)
+    damping = _DAMPING * (error**2).sum(axis=1) + _LEAST_DAMPING
+    step = _solved(J, error, damping)
+    free = (q + step > lower) & (q + step < upper)
+    if not free.all():
+        stop = np.where(free, 0.0, np.clip(q + step, lower, upper) - q)
+        step = stop + _solved(J * free[:, None, :], error - np.einsum("nij,nj->ni", J, stop), damping)
+    largest = np.abs(step).max(axis=1, keepdims=True)
+    step *= np.minimum(1.0, _LARGEST_STEP_RAD / np.maximum(largest, _LARGEST_STEP_RAD))
+    result: FloatArray = np.clip(q + step, lower, upper)
+    return result
+
+
+def _solved(J: FloatArray, error: FloatArray, damping: FloatArray) -> FloatArray:
+    """Return the damped least-squares steps (N, 7) for errors (N, 6)."""
+    normal = J @ np.swapaxes(J, 1, 2) + damping[:, None, None] * np.eye(6)
+    step: FloatArray = np.einsum("nij,ni->nj", J, np.linalg.solve(normal, error[..., None])[..., 0])
+    return step
+
+
+def _jacobian(arm: Pr2Arm, q: FloatArray) -> FloatArray:
+    """Return (N, 6, 7): velocity of the tool's origin, then angular velocity, world axes, per joint."""
+    poses = arm.chain.link_poses(q)
+    tool = (poses[:, -1] @ arm.chain.T_last_tool)[:, None, :3, 3]
+    axis = np.einsum("njab,jb->nja", poses[..., :3, :3], arm.chain.joint_axis)
+    J = np.concatenate([np.cross(axis, tool - poses[..., :3, 3]), axis], axis=-1)
+    jacobian: FloatArray = np.swapaxes(J, 1, 2)
+    return jacobian

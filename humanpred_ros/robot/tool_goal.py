@@ -1,0 +1,111 @@
+"""Tasks stated as tool poses: inverse kinematics turns them into sets of configurations that touch nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.errors import GoalUnreachableError, SceneError, UsageError
+from humanpred_ros.robot.contact import nearest_contacts
+from humanpred_ros.robot.goal import Goal
+from humanpred_ros.robot.inverse_kinematics import InverseKinematicsConfig, solve_tool_pose, spread
+from humanpred_ros.robot.pr2 import Pr2Arm
+from humanpred_ros.robot.shapes import Obstacle
+from humanpred_ros.robot.tool_pose import ToolPose
+
+
+@dataclass(frozen=True)
+class ToolGoalConfig:
+    """Which solutions become a goal's configurations.
+
+    Attributes:
+        most: how many are kept at most; each one costs the planner a plan.
+        separation: configuration distance between any two that are kept. The ways from the start to the goals
+            of P1 are 0.3 to 1.4 long (facts section 4).
+        clearance_m: least distance to everything. A planner looks distances up on a lattice of 0.025 m and
+            would take a goal for a collision that touches nothing by less than half a cell's diagonal.
+        inverse_kinematics: how solutions are looked for.
+    """
+
+    most: int = 6
+    separation: float = 0.25
+    clearance_m: float = 0.02
+    inverse_kinematics: InverseKinematicsConfig = field(default_factory=InverseKinematicsConfig)
+
+    def __post_init__(self) -> None:
+        if self.most < 1 or not self.separation >= 0.0 or not self.clearance_m >= 0.0:
+            raise UsageError(
+                "tool goal: wanted most >= 1, separation >= 0 and clearance_m >= 0, "
+                f"got {self.most}, {self.separation} and {self.clearance_m}"
+            )
+
+
+def tool_goal(
+    arm: Pr2Arm,
+    name: str,
+    T_world_tool: ArrayLike,
+    start: ArrayLike,
+    *,
+    position_tolerance_m: ArrayLike = 0.0,
+    orientation_tolerance_rad: ArrayLike = 0.0,
+    task_cost: float = 0.0,
+    obstacles: Sequence[Obstacle] = (),
+    config: ToolGoalConfig | None = None,
+) -> Goal:
+    """Return the goal of bringing the tool to a pose, as configurations that reach it and touch nothing.
+
+    Args:
+        arm: the arm, placed; its `tool_frame` is the tool.
+        name: the goal's name.
+        T_world_tool: (4, 4) wanted pose of the tool.
+        start: (7,) rad; the nearest configuration to it becomes the goal's first, and continuous joints
+            take the shorter way from it.
+        position_tolerance_m: one number, or one along each axis of the wanted pose.
+        orientation_tolerance_rad: one number, or one about each axis; pi leaves the tool free to turn about it.
+        task_cost: as in `Goal`.
+        obstacles: what the arm must not touch beside itself and its robot.
+
+    Raises:
+        GoalUnreachableError: naming the goal: no configuration within the joint limits reaches the pose (with
+            how close the tool came), or all that do are in collision (with link, obstacle and depth).
+        SceneError: for a pose that is not rigid or tolerances that are negative.
+    """
+    config = config or ToolGoalConfig()
+    what = f"goal {name!r}"
+    try:
+        target = ToolPose.within(T_world_tool, position_tolerance_m, orientation_tolerance_rad)
+    except SceneError as trouble:
+        raise SceneError(f"{what}: {trouble}") from trouble
+    start = arm.check_configuration(start, f"start of {what}")
+    found = solve_tool_pose(arm, target, start, config.inverse_kinematics)
+    if len(found.configurations) == 0:
+        place = ", ".join(f"{coordinate:.3f}" for coordinate in target.T_world_tool[:3, 3])
+        raise GoalUnreachableError(
+            f"{what}: wanted the tool at ({place}), got no configuration within the joint limits; the closest stays "
+            f"{found.missing_m:.3f} m and {np.rad2deg(found.missing_rad):.1f} deg beyond the tolerances; move the "
+            "goal or the robot, or widen the tolerances"
+        )
+    free = _free(arm, what, found.configurations, obstacles, config.clearance_m)
+    return Goal(name, spread(arm, free, config.separation, config.most), task_cost)
+
+
+def _free(
+    arm: Pr2Arm, what: str, configurations: FloatArray, obstacles: Sequence[Obstacle], clearance_m: float
+) -> FloatArray:
+    """Return those of the configurations (N, 7) that keep their distance to everything."""
+    contacts = nearest_contacts(arm, obstacles, configurations)
+    clearance = np.array([contact.clearance_m for contact in contacts])
+    if (clearance < clearance_m).all():
+        best = contacts[int(np.argmax(clearance))]
+        got = f"{-best.clearance_m:.3f} m deep in" if best.clearance_m < 0.0 else f"{best.clearance_m:.3f} m from"
+        raise GoalUnreachableError(
+            f"{what}: wanted the arm at least {clearance_m:.3f} m away from everything, got none of "
+            f"{len(configurations)} configurations that reach the pose; the best has {best.link} {got} "
+            f"{best.obstacle}; move the goal or the obstacle, or widen the tolerances"
+        )
+    free: FloatArray = configurations[clearance >= clearance_m]
+    return free
