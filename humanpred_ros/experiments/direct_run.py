@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+
+from numpy.typing import ArrayLike
+
 from humanpred_ros.motion.motion import Motion
+from humanpred_ros.occupancy.grid import Occupancy
 from humanpred_ros.occupancy.predictor import OccupancyPredictor
-from humanpred_ros.planning.decision import Decision
+from humanpred_ros.planning.decision import ARRIVED, Decision
 from humanpred_ros.planning.replanner import MultiGoalReplanner
 from humanpred_ros.robot.scene import Scene
 
@@ -28,19 +33,38 @@ def run_direct(
         n_held: how often the last posture is repeated at the end, at the motion's median period; the run
             ends earlier when the arm has arrived.
     """
+    return drive(replanner, scene.start, predicted(predictor, motion, threshold, n_held), len(motion))
+
+
+def predicted(predictor: OccupancyPredictor, motion: Motion, threshold: float, n_held: int = 0) -> Iterator[Occupancy]:
+    """Yield the occupancy that reaches the planner after each posture; arguments as for `run_direct`."""
     offsets_ns, postures = motion.timeline(n_held)
     predictor.start()
-    replanner.start(scene.start, 0.0)
+    for offset_ns, q in zip(offsets_ns, postures, strict=True):
+        yield predictor.update(q, offset_ns * 1e-9).occupancy.sparse(threshold)
+
+
+def drive(
+    replanner: MultiGoalReplanner,
+    q_start: ArrayLike,
+    occupancies: Iterable[Occupancy],
+    n_least: int = 0,
+    begin_s: float = 0.0,
+) -> list[Decision]:
+    """Let the arm work while occupancies come in; return one decision for each.
+
+    Args:
+        replanner: told to start anew.
+        q_start: (D,) where the arm rests at first.
+        occupancies: by ascending stamp.
+        n_least: so many are answered even if the arm arrives before; after that, arriving ends the run.
+        begin_s: since when the arm rests; the first step is due one period later.
+    """
+    replanner.start(q_start, begin_s)
     decisions: list[Decision] = []
-    for k, (offset_ns, q) in enumerate(zip(offsets_ns, postures, strict=True)):
-        prediction = predictor.update(q, offset_ns * 1e-9)
-        occupancy = prediction.occupancy.sparse(threshold)
-        if replanner.due(occupancy.t_s):
-            decision = replanner.plan(occupancy)
-            replanner.commit(decision)
-        else:
-            decision = replanner.keep(occupancy)
+    for occupancy in occupancies:
+        decision = replanner.respond(occupancy)
         decisions.append(decision)
-        if decision.action == "arrived" and k + 1 >= len(motion):
+        if decision.action == ARRIVED and len(decisions) >= n_least:
             break
     return decisions

@@ -17,6 +17,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import ArrayError, PlanningError
 from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
+from humanpred_ros.planning.controller_checks import controller_refusal
 from humanpred_ros.planning.decision import Decision
 from humanpred_ros.planning.trajectory import TimedTrajectory
 
@@ -133,12 +134,16 @@ def grid_description(grid: VoxelGrid, frame_id: str = "world") -> str:
 
 
 def trajectory_message(names: Sequence[str], trajectory: TimedTrajectory, origin_ns: int) -> JointTrajectory:
-    """Return the trajectory with absolute times: header.stamp is its first knot, `origin_ns` its time zero."""
-    times_ns = [origin_ns + round(t * 1e9) for t in trajectory.t_s]
+    """Return the trajectory with absolute times: header.stamp is its first knot, `origin_ns` its time zero.
+
+    Times are rounded to nanoseconds; knots that would fall on the same one are put one apart.
+    """
     message = JointTrajectory(joint_names=list(names))
-    message.header.stamp = time_message(times_ns[0])
-    for t_ns, q, v, a in zip(times_ns, trajectory.q, trajectory.v, trajectory.a, strict=True):
-        after = t_ns - times_ns[0]
+    start_ns = origin_ns + round(float(trajectory.t_s[0]) * NS_PER_S)
+    message.header.stamp = time_message(start_ns)
+    after = -1
+    for t, q, v, a in zip(trajectory.t_s, trajectory.q, trajectory.v, trajectory.a, strict=True):
+        after = max(origin_ns + round(float(t) * NS_PER_S) - start_ns, after + 1)
         message.points.append(
             JointTrajectoryPoint(
                 positions=array.array("d", q),
@@ -150,19 +155,25 @@ def trajectory_message(names: Sequence[str], trajectory: TimedTrajectory, origin
     return message
 
 
-def trajectory_from_message(message: JointTrajectory, names: Sequence[str], origin_ns: int) -> TimedTrajectory:
+def trajectory_from_message(
+    message: JointTrajectory, names: Sequence[str], origin_ns: int, now_ns: int | None = None
+) -> TimedTrajectory:
     """Return the trajectory of a message, with times in seconds after `origin_ns`.
 
-    Refuses what a joint trajectory controller refuses.
+    Refuses what a joint trajectory controller refuses, and what leaves open how the robot moves between
+    points: missing velocities or accelerations, or a last acceleration that is not 0.
+
+    Args:
+        names: joints wanted; the message may have them in any order.
+        now_ns: refuse trajectories that are over by then; None takes them.
 
     Raises:
-        PlanningError: other joints, no points, missing velocities or accelerations, times that do not
-            increase, values that are not finite, or a last point that still moves.
+        PlanningError: with the reason.
     """
-    if list(message.joint_names) != list(names):
-        raise PlanningError(f"trajectory joints: wanted {list(names)}, got {list(message.joint_names)}")
-    if not message.points:
-        raise PlanningError("trajectory: wanted at least one point, got none")
+    refusal = controller_refusal(message, names, now_ns)
+    if refusal:
+        raise PlanningError(refusal)
+    column = [list(message.joint_names).index(name) for name in names]
     start_ns = stamp_ns(message.header.stamp) - origin_ns
     knots: list[list[Any]] = [[], [], [], []]
     for point in message.points:
@@ -173,13 +184,8 @@ def trajectory_from_message(message: JointTrajectory, names: Sequence[str], orig
         for k, part in enumerate(row):
             knots[k + 1].append(part)
     t_s, q, v, a = (np.array(part, dtype=np.float64) for part in knots)
-    if not all(np.isfinite(part).all() for part in (t_s, q, v, a)):
-        raise PlanningError("trajectory: wanted finite numbers, got NaN or infinity")
-    if (np.diff(t_s) <= 0).any():
-        raise PlanningError("trajectory: wanted strictly increasing times")
-    if np.abs(v[-1]).max() > 1e-9:
-        raise PlanningError(f"trajectory: wanted rest at the last point, got velocities {v[-1]}")
-    return TimedTrajectory(t_s, q, v, a)
+    v[-1] = 0.0  # to within float32's resolution it is
+    return TimedTrajectory(t_s, q[:, column], v[:, column], a[:, column])
 
 
 def decision_message(decision: Decision, t_ns: int, compute_ms: float) -> DiagnosticArray:
@@ -195,24 +201,28 @@ def decision_message(decision: Decision, t_ns: int, compute_ms: float) -> Diagno
             switched=str(decision.switched).lower(),
             reason=decision.reason,
             t_switch_s=repr(float(decision.t_switch_s)),
+            margin=repr(float(decision.margin)),
             compute_ms=f"{compute_ms:.3f}",
         ),
     )
     message = DiagnosticArray(status=[head])
     for goal in decision.goals:
-        verdict = (
-            "chosen" if goal.name == decision.chosen and goal.valid else "candidate" if goal.valid else goal.reason
-        )
+        verdict = goal.obstacle_to_choice or ("chosen" if goal.name == decision.chosen else "candidate")
         values = {
             "selection_cost": repr(float(goal.selection_cost)),
             "human": repr(float(goal.human)),
             "length": repr(float(goal.length)),
+            "rest": repr(float(goal.rest)),
+            "task_cost": repr(float(goal.task_cost)),
+            "alternative": goal.alternative,
             "valid": str(goal.valid).lower(),
+            "set_aside": goal.set_aside,
+            "revived": str(goal.revived).lower(),
             "iterations": goal.iterations,
             "warm_start": goal.warm_start,
             **{f"cost/{term}": repr(float(cost)) for term, cost in goal.cost.items()},
         }
-        level = DiagnosticStatus.OK if goal.valid else DiagnosticStatus.ERROR
+        level = DiagnosticStatus.OK if goal.eligible else DiagnosticStatus.WARN
         message.status.append(
             DiagnosticStatus(name=goal.name, level=level, message=verdict, values=_key_values(**values))
         )

@@ -11,14 +11,14 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from humanpred_ros.checks import FloatArray
-from humanpred_ros.errors import ArrayError
+from humanpred_ros.errors import ArrayError, PlanningError
 from humanpred_ros.nodes import conversions, qos, topics
 from humanpred_ros.nodes.base import GraphNode, run_node
 from humanpred_ros.nodes.markers import candidate_markers
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.nodes.settings import StompPlannerSettings
 from humanpred_ros.occupancy.grid import Occupancy
-from humanpred_ros.planning.decision import Decision
+from humanpred_ros.planning.decision import HOLD, Decision
 from humanpred_ros.planning.replanner import MultiGoalReplanner
 from humanpred_ros.robot.scene import load_scene
 
@@ -78,41 +78,41 @@ class StompPlannerNode(GraphNode):
             self.refuse("no arm: an occupancy came before the arm's joint states")
             return
         if self.origin_ns is None or stamp_ns < self.last_ns:
-            self.restart(stamp_ns)
+            try:
+                self.replanner.start(self.arm_q, 0.0)
+            except PlanningError as error:
+                self.refuse(str(error))
+                return
+            self.origin_ns = stamp_ns
         self.last_ns = stamp_ns
         t_s = (stamp_ns - self.origin_ns) * 1e-9
+        age_s = (self.get_clock().now().nanoseconds - stamp_ns) * 1e-9
         try:
             occupancy = conversions.occupancy_from_cloud(message, self.scene.grid, t_s)
         except ArrayError as error:
             self.refuse(str(error))
             self.publish(self.replanner.hold(self.now_s(), f"invalid human data: {error}"), stamp_ns, received_s)
             return
+        if age_s > self.settings.max_human_age_s and not self.settings.lossless:
+            self.publish(self.replanner.hold(self.now_s(), self.stale(age_s)), stamp_ns, received_s)
+            return
         self.holding = False
-        decision = self.decide(occupancy)
-        self.publish(decision, stamp_ns, received_s)
+        self.publish(self.decide(occupancy), stamp_ns, received_s)
 
     def decide(self, occupancy: Occupancy) -> Decision:
-        """Replan when a step is due; a plan that comes too late to be switched to is reported, not sent.
+        """Replan when a step is due or called for; a plan that comes too late to be switched to is not sent.
 
         In real time STOMP stops iterating when time runs out, so that an overloaded machine gets a poorer plan
         rather than none. Stepped runs take the time they need, which makes them the same on every machine.
         """
-        if not self.replanner.due(occupancy.t_s):
-            return self.replanner.keep(occupancy)
         if self.settings.lossless:
-            decision = self.replanner.plan(occupancy)
-        else:
-            enough_s = occupancy.t_s + _STOMP_SHARE * self.settings.period_s
-            decision = self.replanner.plan(occupancy, lambda: self.now_s() >= enough_s)
-            if decision.trajectory is not None and self.now_s() >= decision.t_switch_s:
-                return self.replanner.missed(decision)
-        self.replanner.commit(decision)
-        return decision
+            return self.replanner.respond(occupancy)
+        enough_s = occupancy.t_s + _STOMP_SHARE * self.settings.period_s
+        return self.replanner.respond(occupancy, self.now_s, lambda: self.now_s() >= enough_s)
 
-    def restart(self, stamp_ns: int) -> None:
-        """Begin anew from where the arm is: at the first occupancy, and when the clock jumped back."""
-        self.origin_ns = stamp_ns
-        self.replanner.start(self.arm_q, 0.0)
+    def stale(self, age_s: float) -> str:
+        """Return the reason of a hold because human data are too old."""
+        return f"stale human data: {age_s:.2f} s old, at most {self.settings.max_human_age_s:g} s allowed"
 
     def now_s(self) -> float:
         """Return the node's time in seconds after the first occupancy."""
@@ -125,8 +125,7 @@ class StompPlannerNode(GraphNode):
         age_s = (self.get_clock().now().nanoseconds - self.last_ns) * 1e-9
         if age_s > self.settings.max_human_age_s:
             self.holding = True
-            reason = f"stale human data: {age_s:.2f} s old, at most {self.settings.max_human_age_s:g} s allowed"
-            self.publish(self.replanner.hold(self.now_s(), reason), self.last_ns, time.perf_counter())
+            self.publish(self.replanner.hold(self.now_s(), self.stale(age_s)), self.last_ns, time.perf_counter())
 
     def publish(self, decision: Decision, stamp_ns: int, received_s: float) -> None:
         """Send the trajectory first, then the decision: who waits for the decision finds the arm informed."""
@@ -135,7 +134,7 @@ class StompPlannerNode(GraphNode):
             self.trajectory_publisher.publish(
                 conversions.trajectory_message(self.replanner.joint_names, decision.trajectory, self.origin_ns)
             )
-        if decision.goals or decision.action == "hold":
+        if decision.goals or decision.action == HOLD:
             # People want to see what changes; that a goal is kept is only worth a look when searching a fault.
             log = self.get_logger().debug if decision.action == "keep" else self.get_logger().info
             log(f"t {decision.stamp_s:5.2f} s  {decision.summary()}")

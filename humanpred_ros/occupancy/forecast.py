@@ -34,9 +34,9 @@ class ForecastPredictor(OccupancyPredictor):
     """p(voxel) = sum over exemplars of P(exemplar is the present moment) [what followed it touches the voxel].
 
     Futures are those of the classes that were learned, also for a reach of no class: the posterior says how probable
-    that is. Where the body is now has probability 1. A person who stands elsewhere is moved to where the library's
-    people stood (`ForestClassifier.alignment`), and the futures back. Time and memory do not depend on how much was
-    seen.
+    that is. Where the body is now has probability 1, and nothing else has. A person who stands elsewhere is moved to
+    where the library's people stood (`ForestClassifier.alignment`), and the futures back. Time and memory do not depend
+    on how much was seen.
 
     Attributes:
         grid: the lattice, world frame.

@@ -16,6 +16,9 @@ from humanpred_ros.occupancy.recorded_futures import MOMENTS, Ways
 
 BitArray = NDArray[np.uint32]
 
+#: The most that is said of a place the body is not in yet: 1 is for where it is now, which a planner may rely on.
+NEVER_CERTAIN = np.float32(1.0 - 2.0**-10)
+
 
 @exact
 def draw(
@@ -191,7 +194,7 @@ def count(
                 for k in range(1, n_z + 1):
                     beside = share[i - 1, j, k] + share[i + 1, j, k] + share[i, j - 1, k] + share[i, j + 1, k]
                     beside += share[i, j, k - 1] + share[i, j, k + 1]
-                    p = min(own * share[i, j, k] + sixth * beside, one)
+                    p = min(own * share[i, j, k] + sixth * beside, NEVER_CERTAIN)
                     out[i - 1, j - 1, k - 1] = one if now[i - 1, j - 1, k - 1] else p
     for i in range(1, n_x + 1):
         for j in range(1, n_y + 1):

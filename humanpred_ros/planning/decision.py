@@ -17,6 +17,7 @@ from humanpred_ros.planning.trajectory import TimedTrajectory
 REPLAN = "replan"
 KEEP = "keep"
 HOLD = "hold"
+EVADE = "evade"
 ARRIVED = "arrived"
 MISSED = "missed"
 
@@ -32,12 +33,17 @@ class GoalReport:
         human: human occupancy cost (unweighted) integrated over the path, in configuration distance.
         length: of the path, in configuration distance.
         selection_cost: what goals are compared by.
+        rest: human occupancy cost (unweighted) of the last waypoint, where the arm would stay.
+        task_cost: of the goal itself.
+        alternative: which of the goal's configurations the path leads to.
         path: (N, D) waypoints, from where the robot will be to the goal, rad.
         valid: whether every waypoint is allowed.
         reason: why it is not; empty if it is.
         iterations: STOMP updates done; 0 where no plan was needed.
         warm_start: where the first path came from: "straight", "executing", a `Reconnection.kind`, or
             "arrived" where the robot is at the goal.
+        set_aside: why the goal is not considered in this step whatever its path costs; empty if it is.
+        revived: whether it was set aside in the step before and is no more.
     """
 
     name: str
@@ -51,6 +57,21 @@ class GoalReport:
     reason: str
     iterations: int
     warm_start: str
+    rest: float = 0.0
+    task_cost: float = 0.0
+    alternative: int = 0
+    set_aside: str = ""
+    revived: bool = False
+
+    @property
+    def eligible(self) -> bool:
+        """Whether the arm may set out on this path, as far as the path itself tells."""
+        return self.valid and not self.set_aside
+
+    @property
+    def obstacle_to_choice(self) -> str:
+        """Why it may not; empty if it may."""
+        return self.set_aside or self.reason
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cost", MappingProxyType(dict(self.cost)))
@@ -70,7 +91,7 @@ class Decision:
         stamp_s: stamp of the occupancy it follows from; of the hold, if it is one.
         step: number of the replanning step, from 1 as in P1; of the last one (0 before any) if none was due.
         action: "replan" (`trajectory` takes over at `t_switch_s`), "keep" (the trajectory being executed goes
-            on), "hold" (stop, or stay stopped), "arrived" (at rest at the chosen goal) or "missed" (a plan
+            on), "hold" (stop, or stay stopped), "evade" (`trajectory` takes the arm out of the person's way), "arrived" (at rest at the chosen goal) or "missed" (a plan
             that came too late and is not executed).
         reason: why, in words.
         chosen: name of the goal being worked on; None before the first choice.
@@ -97,6 +118,17 @@ class Decision:
         """Whether another goal was chosen than before."""
         return self.previous is not None and self.chosen != self.previous
 
+    @property
+    def margin(self) -> float:
+        """By how much the chosen goal is cheaper than the next one that may be chosen; negative where habit decided.
+
+        NaN where there was no choice.
+        """
+        costs = {goal.name: goal.selection_cost for goal in self.goals if goal.eligible}
+        if self.chosen not in costs or len(costs) < 2:
+            return float("nan")
+        return min(cost for name, cost in costs.items() if name != self.chosen) - costs[self.chosen]
+
     def report(self, name: str) -> GoalReport:
         """Return the report of one goal.
 
@@ -111,7 +143,7 @@ class Decision:
     def summary(self) -> str:
         """Return one line for people: action, goal, reason and what every goal would have cost."""
         goals = ", ".join(
-            f"{goal.name} {goal.selection_cost:.4f}" if goal.valid else f"{goal.name} impossible ({goal.reason})"
+            f"{goal.name} {goal.selection_cost:.4f}" + ("" if goal.eligible else f" ({goal.obstacle_to_choice})")
             for goal in self.goals
         )
         goal = f" {self.chosen}" if self.chosen else ""

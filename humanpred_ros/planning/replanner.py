@@ -4,9 +4,12 @@ Each step takes the newest predicted occupancy, plans to every goal from where t
 later, and lets the best plan take over then (the one-step lag of P1 Fig. 4). Planning changes nothing:
 `plan` returns a decision, `commit` makes it so.
 
-A goal that has been reached is kept: the task there has begun, and whether to leave it is not for the planner
-to say. On the way, the path being executed is kept too unless a new one is better by a margin, so that the
-robot does not twitch at every step.
+A goal that has been reached is kept until the person is likely to come to it. On the way, the path being executed
+is kept unless a new one is better by a margin, so that the robot does not twitch at every step, and a goal is given
+up only for one that is clearly better, so that it does not dither.
+
+Between the steps every occupancy is held against what is being executed (`respond`): a motion that has become bad
+is replanned at once, and one that would come too close to the person before a new plan can take over is stopped.
 """
 
 from __future__ import annotations
@@ -24,23 +27,33 @@ from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import GoalUnreachableError, PlanningError
 from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
 from humanpred_ros.planning.costs import ObstacleCost, SmoothnessCost
-from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, MISSED, Decision
+from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, MISSED, REPLAN, Decision
+from humanpred_ros.planning.motion_check import MotionChecker, SelfClearance
 from humanpred_ros.planning.path import straight
+from humanpred_ros.planning.person import Person
 from humanpred_ros.planning.reconnection import reconnect
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.planning.schedule import Schedule
-from humanpred_ros.planning.step import ReplanningStep, Situation, Tools
+from humanpred_ros.planning.situation import Situation, Tools
+from humanpred_ros.planning.step import ReplanningStep
 from humanpred_ros.planning.stopping import brake_along
 from humanpred_ros.planning.timing import time_parameterise
 from humanpred_ros.planning.trajectory import TimedTrajectory
-from humanpred_ros.robot.chain import BodyPoints, BodySpheres, KinematicChain
+from humanpred_ros.robot.chain import BodyPoints, BodySpheres, KinematicChain, reach_m
 from humanpred_ros.robot.distance_field import SignedDistanceField
-from humanpred_ros.robot.scene import Goal, Scene
+from humanpred_ros.robot.goal import Goal
+from humanpred_ros.robot.scene import Scene
+from humanpred_ros.robot.self_collision import SelfCollision
 
 __all__ = ["Arm", "MultiGoalReplanner", "ReplannerConfig"]
 
 #: Stamps count as due this much early, s: they are whole nanoseconds, periods are not.
 _DUE_TOLERANCE_S = 1e-6
+#: What a timed trajectory may lose of clearance against its path, m: corners are rounded off, and what is left of
+#: the old velocity leads off the path for a moment.
+_EXECUTION_SLACK_M = 0.005
+#: An arm that is too close to the person already may come closer by this before it is stopped, m.
+_CLOSER_M = 0.01
 
 
 class Arm(Protocol):
@@ -64,13 +77,28 @@ class MultiGoalReplanner:
     """
 
     def __init__(
-        self, arm: Arm, goals: Sequence[Goal], field: SignedDistanceField, config: ReplannerConfig | None = None
+        self,
+        arm: Arm,
+        goals: Sequence[Goal],
+        field: SignedDistanceField,
+        config: ReplannerConfig | None = None,
+        *,
+        self_clearance: SelfClearance | None = None,
+        grid: VoxelGrid | None = None,
     ) -> None:
         """Take the arm, its goals and the distance to obstacles; call `start` before planning.
 
+        Args:
+            arm: what moves.
+            goals: tasks to choose from.
+            field: signed distance to obstacles.
+            config: settings.
+            self_clearance: clearance (T,) of the arm from itself at configurations (T, D); not looked at if absent.
+            grid: the lattice every occupancy must have; any will do if absent.
+
         Raises:
             PlanningError: for no goals or two of one name.
-            GoalUnreachableError: for a goal outside the joint limits.
+            GoalUnreachableError: for a goal all of whose configurations are outside the joint limits or not free.
         """
         self.config = config or ReplannerConfig()
         self.arm = arm
@@ -79,30 +107,37 @@ class MultiGoalReplanner:
         if not names or len(set(names)) != len(names):
             raise PlanningError(f"replanner: wanted one or more goals of different names, got {names}")
         self.goal_names = tuple(names)
-        self._configurations = [self._checked_goal(goal) for goal in goals]
+        self._grid = grid
         n = self.chain.n_joints
         # The weight of a joint is the distance of a one-radian change of it alone.
         self.weights = np.array([float(arm.configuration_distance(np.zeros(n), unit)) for unit in np.eye(n)])
         self.velocity_limit = self.config.velocity_scale * self.chain.velocity_limit
         self.acceleration_limit = np.array(np.broadcast_to(self.config.acceleration_limit, (n,)), dtype=np.float64)
-        stomp = self.config.stomp
+        stomp, spheres = self.config.stomp, arm.spheres()
         self._tools = Tools(
             config=self.config,
             chain=self.chain,
             points=arm.body_points(),
-            obstacles=ObstacleCost(self.chain, arm.spheres(), field, stomp.obstacle_weight),
+            obstacles=ObstacleCost(self.chain, spheres, field, stomp.obstacle_weight, margin_m=self.config.padding_m),
             smoothness=SmoothnessCost(stomp.smoothness_weight),
+            checker=MotionChecker(
+                self.chain, spheres, field, self.config.padding_m - _EXECUTION_SLACK_M, self_clearance
+            ),
             weights=self.weights,
             velocity_limit=self.velocity_limit,
             acceleration_limit=self.acceleration_limit,
             pool=ThreadPoolExecutor(self.config.n_threads) if self.config.n_threads > 1 else None,
         )
+        self._configurations = {goal.name: self._checked_goal(goal) for goal in goals}
+        self._task_costs = {goal.name: goal.task_cost for goal in goals}
         self._schedule: Schedule | None = None
 
     @classmethod
     def for_scene(cls, scene: Scene, config: ReplannerConfig | None = None) -> MultiGoalReplanner:
         """Return the replanner of a scene's arm, goals and obstacles."""
-        return cls(scene.arm, scene.goals, scene.distance_field(), config)
+        arm = scene.arm
+        itself = SelfCollision.for_arm(arm).clearance
+        return cls(arm, scene.goals, scene.distance_field(), config, self_clearance=itself, grid=scene.grid)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -113,20 +148,66 @@ class MultiGoalReplanner:
         """Begin anew with the robot at rest at `q_start` (D,) from `t_s` on.
 
         Goals are unwrapped so that continuous joints go the shorter way from here.
+
+        Raises:
+            PlanningError: for a start that is not finite, or outside the joint limits.
         """
         q = checked("start configuration", q_start, (self.chain.n_joints,), error=PlanningError)
+        outside = self._outside_limits(q)
+        if outside:
+            raise PlanningError(f"start configuration: {outside}; is the robot reporting this arm's joints?")
         self._schedule = Schedule(q, t_s)
-        self._goals = [q + self.arm.difference(q, goal) for goal in self._configurations]
+        self._goals = {name: q + self.arm.difference(q, goal) for name, goal in self._configurations.items()}
         self._paths: dict[str, FloatArray] = {}
+        self._set_aside: dict[str, str] = {}
+        self._left: dict[str, int] = {}
         self._chosen: str | None = None
+        self._leads_to: str | None = None
         self._step = 1
-        self._last_stamp_s = t_s  # P1 looks at the first 5 % of a motion before it plans
+        self._last_stamp_s = t_s
+        self._last_due_s = t_s  # P1 looks at the first 5 % of a motion before it plans
         self._held = ""
+        self._urgent = False
 
     def due(self, t_s: float) -> bool:
-        """Return whether an occupancy stamped `t_s` calls for a replanning step; after a hold, any does."""
+        """Return whether an occupancy stamped `t_s` calls for a replanning step; after an emergency stop, any does."""
         self._started()
-        return bool(self._held) or t_s >= self._last_stamp_s + self.config.period_s - _DUE_TOLERANCE_S
+        return self._urgent or t_s >= self._last_due_s + self.config.period_s - _DUE_TOLERANCE_S
+
+    def respond(
+        self,
+        occupancy: Occupancy,
+        now: Callable[[], float] | None = None,
+        deadline: Callable[[], bool] | None = None,
+    ) -> Decision:
+        """Answer one occupancy with one decision, and make it so: what a node calls for every message.
+
+        A step is planned if one is due, or at once if what is being executed has become bad: it would come too
+        close to where the person is, or end where the person is likely to come. If it would come too close before
+        a new plan can take over, the robot stops.
+
+        Args:
+            occupancy: the newest one.
+            now: the time, s, where it passes while this works; the occupancy's stamp if not given. A plan that is
+                ready too late to take over is "missed".
+            deadline: as in `plan`.
+
+        Raises:
+            PlanningError: as `plan`.
+        """
+        self._check(occupancy)
+        now_s = occupancy.t_s if now is None else now()
+        person = self._tools.person(occupancy)
+        imminent = self._imminent(person, now_s, occupancy.t_s + self.config.period_s)
+        if imminent:
+            return replace(self.hold(now_s, imminent), stamp_s=occupancy.t_s)
+        if not (self.due(occupancy.t_s) or self._endangered(person, occupancy.t_s)):
+            return self.keep(occupancy)
+        decision = self.plan(occupancy, deadline)
+        if now is not None and decision.trajectory is not None and now() >= decision.t_switch_s:
+            return self.missed(decision)
+        self.commit(decision)
+        return decision
 
     def plan(self, occupancy: Occupancy, deadline: Callable[[], bool] | None = None) -> Decision:
         """Plan to every goal and choose (P1 Alg. 1); nothing changes until the decision is committed.
@@ -137,23 +218,23 @@ class MultiGoalReplanner:
                 made under a deadline depend on the machine.
 
         Raises:
-            PlanningError: before `start`, or for an occupancy older than the last one committed.
+            PlanningError: before `start`, for an occupancy older than the last one committed, or one of another
+                lattice than the replanner was made for.
         """
         began = time.perf_counter()
-        schedule = self._started()
-        if not occupancy.t_s >= self._last_stamp_s:
-            raise PlanningError(
-                f"replanner: wanted an occupancy at {self._last_stamp_s:.3f} s or later, got {occupancy.t_s:.3f} s; "
-                "call start() when the clock jumps back"
-            )
+        schedule = self._check(occupancy)
         t_switch = occupancy.t_s + self.config.period_s
         situation = Situation(
             step=self._step,
             stamp_s=occupancy.t_s,
             t_switch_s=t_switch,
-            goals=dict(zip(self.goal_names, self._goals, strict=True)),
+            goals=self._goals,
+            task_costs=self._task_costs,
             paths=self._paths,
+            set_aside=self._set_aside,
+            left=self._left,
             chosen=self._chosen,
+            leads_to=self._leads_to,
             arrived=self._at_goal(t_switch),
             executing=schedule.at(t_switch),
             held=bool(self._held),
@@ -175,11 +256,14 @@ class MultiGoalReplanner:
             )
         if decision.trajectory is not None:
             schedule.add(decision.t_switch_s, decision.trajectory)
+            self._leads_to = decision.chosen if decision.action == REPLAN else None
         self._held = decision.reason if decision.action == HOLD else ""
-        self._paths = {report.name: report.path for report in decision.goals} or self._paths
+        self._paths.update({report.name: report.path for report in decision.goals})
+        self._set_aside = {report.name: report.set_aside for report in decision.goals if report.set_aside}
+        if decision.switched and decision.previous is not None:
+            self._left[decision.previous] = self._left.get(decision.previous, 0) + 1
         self._chosen = decision.chosen
-        self._last_stamp_s = decision.stamp_s
-        self._step += 1
+        self._stepped(decision.stamp_s)
 
     def keep(self, occupancy: Occupancy) -> Decision:
         """Return the answer to an occupancy for which no step is due: whatever goes on goes on."""
@@ -194,7 +278,7 @@ class MultiGoalReplanner:
     def missed(self, decision: Decision) -> Decision:
         """Record that a decision of `plan` came too late to take over; what is being executed goes on."""
         self._started()
-        self._step += 1
+        self._stepped(decision.stamp_s)
         late = f"took {decision.compute_s:.3f} s, too long to take over at {decision.t_switch_s:.3f} s"
         return replace(
             decision, action=MISSED, reason=late, chosen=self._chosen, previous=self._chosen,
@@ -215,7 +299,8 @@ class MultiGoalReplanner:
         if stop is not None:
             schedule.add(t_s, stop)
             self._step += 1
-        self._held = reason
+        self._held, self._leads_to = reason, None
+        self._urgent = True
         return decision
 
     def state_at(self, t_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -233,15 +318,22 @@ class MultiGoalReplanner:
 
     def warm_up(self) -> None:
         """Compile everything a step needs, so that the first one is no slower than the others."""
-        q = self._configurations[0]
-        grid = VoxelGrid((0.0, 0.0, 0.0), 1.0, (1, 1, 1))
-        empty = Occupancy(grid, np.zeros(grid.shape, dtype=np.float32))
-        planner = self._tools.planner(empty)
+        q = next(iter(self._configurations.values()))[0]
+        centre, _ = reach_m(self.chain, self.arm.spheres())
+        grid = VoxelGrid((float(centre[0]), float(centre[1]), float(centre[2])), 0.05, (4, 4, 4))
+        corner = np.zeros(grid.shape, dtype=np.float32)
+        corner[0, 0, 0] = 1.0
+        occupancy = Occupancy(grid, corner)
+        planner, _ = self._tools.planner(occupancy)
         path = straight(q, q + 0.1, self.config.stomp.n_waypoints)
         planner.plan(path, np.random.default_rng(0))
         reconnect(q, path, planner.terms, self.weights, self.config.reconnect_step, len(path))
         trajectory = time_parameterise(path, self.velocity_limit, self.acceleration_limit)
         brake_along(trajectory, 0.5 * trajectory.duration_s, self.acceleration_limit)
+        self._tools.checker.first_trouble(trajectory)
+        person = self._tools.person(occupancy)
+        person.in_the_way(trajectory, 0.0)
+        person.comes_to(q)
 
     def close(self) -> None:
         """End the threads; the replanner cannot plan any more."""
@@ -253,22 +345,82 @@ class MultiGoalReplanner:
             raise PlanningError("replanner: wanted start() first, which says where the robot is; call it")
         return self._schedule
 
+    def _check(self, occupancy: Occupancy) -> Schedule:
+        schedule = self._started()
+        if not occupancy.t_s >= self._last_stamp_s:
+            raise PlanningError(
+                f"replanner: wanted an occupancy at {self._last_stamp_s:.3f} s or later, got {occupancy.t_s:.3f} s; "
+                "call start() when the clock jumps back"
+            )
+        if self._grid is not None and occupancy.grid != self._grid:
+            raise PlanningError(
+                f"replanner: wanted an occupancy on the scene's lattice {self._grid}, got {occupancy.grid}; "
+                "use one scene for predictor and planner"
+            )
+        return schedule
+
+    def _stepped(self, stamp_s: float) -> None:
+        """Note a step; those between two due ones, for a motion that has become bad, do not put the next one off."""
+        self._step += 1
+        self._last_stamp_s = stamp_s
+        self._urgent = False
+        if stamp_s >= self._last_due_s + self.config.period_s - _DUE_TOLERANCE_S:
+            self._last_due_s = stamp_s
+
+    def _imminent(self, person: Person, from_s: float, to_s: float) -> str:
+        """Return why the robot must stop at once; empty if it need not."""
+        if self._held or self._leads_to is None:
+            return ""  # it stops already, or gets out of the way as well as it can
+        schedule = self._started()
+        for begin_s, end_s, trajectory in schedule.pieces(from_s, to_s):
+            if trajectory.end_s <= begin_s:
+                continue  # an arm at rest can do nothing by stopping
+            trouble = person.in_the_way(trajectory, begin_s, end_s)
+            if trouble is None:
+                continue
+            here = float(person.gap_m(schedule.state_at(from_s)[0][None])[0])
+            wanted = min(self.config.min_separation_m, here - _CLOSER_M)
+            if float(person.gap_m(trajectory.sample(np.linspace(begin_s, end_s, 9))[0]).min()) < wanted:
+                return f"too close: {trouble}"
+        return ""
+
+    def _endangered(self, person: Person, t_s: float) -> bool:
+        """Return whether what is being executed has become bad after a new plan could take over."""
+        schedule = self._started()
+        if schedule.last_from_s > t_s:
+            return False  # the answer to the last danger has not taken over yet
+        executing = schedule.at(t_s)
+        if person.comes_to(executing.q[-1]) or person.in_the_way(executing, t_s + self.config.period_s):
+            return True
+        return executing.end_s > t_s and bool(person.on_the_way(executing, t_s + self.config.period_s))
+
     def _at_goal(self, t_s: float) -> bool:
         if self._schedule is None or self._chosen is None or self._held:
             return False
         executing = self._schedule.at(t_s)
-        goal = self._goals[self.goal_names.index(self._chosen)]
-        return executing.end_s <= t_s and bool(np.array_equal(executing.q[-1], goal))
+        return executing.end_s <= t_s and bool((executing.q[-1] == self._goals[self._chosen]).all(axis=1).any())
 
     def _stop(self, schedule: Schedule, t_s: float) -> TimedTrajectory:
         return brake_along(schedule.at(t_s), t_s, self.acceleration_limit, self.config.sample_period_s)
 
     def _checked_goal(self, goal: Goal) -> FloatArray:
-        q = checked(f"goal {goal.name}", goal.configuration, (self.chain.n_joints,), error=PlanningError)
+        """Return the configurations (K, D) of a goal that are within the limits and free."""
+        shape = ("K", self.chain.n_joints)
+        usable, reasons = [], []
+        for q in checked(f"goal {goal.name}", goal.configurations, shape, error=PlanningError):
+            trouble = self._outside_limits(q) or self._tools.checker.first_trouble_on_path(q[None])
+            reasons.append(str(trouble))
+            if not trouble:
+                usable.append(q)
+        if not usable:
+            raise GoalUnreachableError(
+                f"goal {goal.name}: {'; '.join(dict.fromkeys(reasons))}; choose a configuration within the limits "
+                "and clear of obstacles"
+            )
+        return np.array(usable)
+
+    def _outside_limits(self, q: FloatArray) -> str:
         for joint, value, low, high in zip(self.chain.joint_names, q, self.chain.lower, self.chain.upper, strict=True):
             if not low - 1e-6 <= value <= high + 1e-6:
-                raise GoalUnreachableError(
-                    f"goal {goal.name}: wanted {joint} within {low:.4f} to {high:.4f} rad, got {value:.4f} rad; "
-                    "choose a configuration within the limits"
-                )
-        return q
+                return f"wanted {joint} within {low:.4f} to {high:.4f} rad, got {value:.4f} rad"
+        return ""

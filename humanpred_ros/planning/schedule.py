@@ -44,6 +44,17 @@ class Schedule:
             )
         return self._entries[0][1]
 
+    @property
+    def last_from_s(self) -> float:
+        """Time from which the newest trajectory is executed."""
+        return self._entries[-1][0]
+
+    def pieces(self, from_s: float, to_s: float) -> list[tuple[float, float, TimedTrajectory]]:
+        """Return what is executed between two times: (begin, end, trajectory), in order."""
+        begins = [from_s, *(begin_s for begin_s, _ in self._entries if from_s < begin_s < to_s)]
+        ends = [*begins[1:], to_s]
+        return [(begin_s, end_s, self.at(begin_s)) for begin_s, end_s in zip(begins, ends, strict=True)]
+
     def state_at(self, t_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position, velocity and acceleration (D,) at `t_s`."""
         if not np.isfinite(t_s):

@@ -1,83 +1,31 @@
-"""One replanning step: plan to every goal, compare, and turn the best path into a trajectory (P1 Alg. 1)."""
+"""One replanning step: compare a path to every goal, and turn the best into a trajectory (P1 Alg. 1).
+
+What is executed has been checked between its waypoints too: against obstacles and the arm itself, and for the hard
+separation from the person. When no goal can be worked on, the arm waits where it is, or moves aside if the person
+is likely to come there.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.occupancy.grid import Occupancy
-from humanpred_ros.planning.costs import HumanOccupancyCost, ObstacleCost, SmoothnessCost, as_batch
-from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, REPLAN, Decision, GoalReport
-from humanpred_ros.planning.margin import widened
-from humanpred_ros.planning.path import path_integral, path_parameter, resampled, straight
-from humanpred_ros.planning.reconnection import reconnect
-from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.stomp import Plan, StompPlanner
+from humanpred_ros.planning.candidates import Candidate, Candidates, with_reason
+from humanpred_ros.planning.decision import ARRIVED, EVADE, HOLD, KEEP, REPLAN, Decision, GoalReport
+from humanpred_ros.planning.evasion import ways_aside
+from humanpred_ros.planning.situation import Situation, Tools
 from humanpred_ros.planning.stopping import brake_along
 from humanpred_ros.planning.timing import time_parameterise
 from humanpred_ros.planning.trajectory import TimedTrajectory
-from humanpred_ros.robot.chain import BodyPoints, KinematicChain
 
-#: What a timed trajectory may lose of clearance against its path, m, and exceed the joint limits by, rad:
-#: corners are rounded off, and what is left of the old velocity leads off the path for a moment.
-_EXECUTION_SLACK_M = 0.005
+#: What a timed trajectory may exceed the joint limits by, rad: corners are rounded off, and what is left of the old
+#: velocity leads off the path for a moment.
 _EXECUTION_SLACK_RAD = 0.005
-#: Times between the configurations of a trajectory that are checked, s.
-_CHECK_PERIOD_S = 0.02
-#: Configurations the rest of a trajectory is first read at, before it is spaced evenly.
-_REREAD = 300
-
-
-@dataclass(frozen=True)
-class Tools:
-    """What stays the same from step to step."""
-
-    config: ReplannerConfig
-    chain: KinematicChain
-    points: BodyPoints
-    obstacles: ObstacleCost
-    smoothness: SmoothnessCost
-    weights: FloatArray
-    velocity_limit: FloatArray
-    acceleration_limit: FloatArray
-    pool: ThreadPoolExecutor | None
-
-    def planner(self, occupancy: Occupancy) -> StompPlanner:
-        """Return the planner for one predicted occupancy; its second term is the human's."""
-        stomp = self.config.stomp
-        near = widened(occupancy, self.config.human_margin_m)
-        human = HumanOccupancyCost(self.chain, self.points, near, stomp.human_weight)
-        terms = (self.obstacles, human, self.smoothness)
-        return StompPlanner(terms, self.chain.lower, self.chain.upper, stomp)
-
-
-@dataclass(frozen=True)
-class Situation:
-    """Where a step begins.
-
-    Attributes:
-        step, stamp_s, t_switch_s: as in `Decision`.
-        goals: configuration (D,) of each goal, unwrapped.
-        paths: path (N, D) to each goal found by the step before; empty in the first.
-        chosen: goal being worked on.
-        arrived: whether the robot will rest at it by the switch.
-        executing: the trajectory being executed at the switch if nothing changes.
-        held: whether that is a stop.
-    """
-
-    step: int
-    stamp_s: float
-    t_switch_s: float
-    goals: Mapping[str, FloatArray]
-    paths: Mapping[str, FloatArray]
-    chosen: str | None
-    arrived: bool
-    executing: TimedTrajectory
-    held: bool
+#: A new way aside must keep this much more distance than the one the robot is on, m.
+_BETTER_GAP_M = 0.02
 
 
 class ReplanningStep:
@@ -87,103 +35,127 @@ class ReplanningStep:
         self, tools: Tools, situation: Situation, occupancy: Occupancy, deadline: Callable[[], bool] | None = None
     ) -> None:
         self._tools, self._now, self._deadline = tools, situation, deadline
-        self._planner = tools.planner(occupancy)
-        self._human = next(term for term in self._planner.terms if isinstance(term, HumanOccupancyCost))
+        self._planner, self._human = tools.planner(occupancy)
+        self._person = tools.person(occupancy)
         self._q, self._v, self._a = situation.executing.sample(situation.t_switch_s)
+        self._candidates = Candidates(tools, situation, self._q, self._person, self._planner, self._human)
 
     def decide(self) -> Decision:
         """Return the decision of this step."""
         now = self._now
+        leave = ""
         if now.arrived and now.chosen is not None:
-            path = np.repeat(self._q[None], self._tools.config.stomp.n_waypoints, axis=0)
-            report = self._report(now.chosen, self._planner.assess(path), "arrived")
-            if now.executing.end_s > now.stamp_s:
-                return self._decision(KEEP, f"about to arrive at {now.chosen}", now.chosen, (report,))
-            return self._decision(ARRIVED, f"at {now.chosen}", now.chosen, (report,))
-        planned = self._plan_all()
-        reports = tuple(report for report, _ in planned)
-        refused = []
-        for report, executing in sorted(planned, key=lambda entry: entry[0].selection_cost):
-            if not report.valid:
-                continue
-            if executing:
-                return self._decision(KEEP, "no better path than the one being executed", report.name, reports)
-            trajectory = self._timed(report)
-            trouble = self._trouble(trajectory)
-            if not trouble:
-                return self._decision(REPLAN, self._why(report), report.name, reports, trajectory)
-            refused.append(f"{report.name}: {trouble}")
-        refused += [f"{report.name}: {report.reason}" for report in reports if not report.valid]
-        reason = "no path can be executed (" + "; ".join(refused) + ")"
-        if now.chosen is not None and not now.held and not self._trouble(now.executing):
-            return self._decision(KEEP, reason + "; the one being executed still can", now.chosen, reports)
-        return self._decision(HOLD, reason, now.chosen, reports, self._stop())
+            leave = self._person.comes_to(self._q)
+            if not leave:
+                report = self._candidates.arrived(now.chosen)
+                if now.executing.end_s > now.stamp_s:
+                    return self._decision(KEEP, f"about to arrive at {now.chosen}", now.chosen, (report,))
+                return self._decision(ARRIVED, f"at {now.chosen}", now.chosen, (report,))
+        candidates = list(self._candidates.plan(self._deadline))
+        if all(c.report.iterations == 0 for c in candidates if not c.report.set_aside) and self._late():
+            return self._wait("the deadline left no time for a single update", candidates)
+        for k in self._ranking(candidates):
+            candidate = candidates[k]
+            if candidate.executing:
+                trouble = self._trouble(now.executing)
+                if not trouble:
+                    reports = _reports(candidates)
+                    return self._decision(
+                        KEEP, "no better path than the one being executed", candidate.report.name, reports
+                    )
+            else:
+                trajectory = self._timed(candidate.report.path)
+                trouble = self._trouble(trajectory)
+                if not trouble:
+                    reports = _reports(candidates)
+                    reason = self._why(candidate.report, candidates, leave)
+                    return self._decision(REPLAN, reason, candidate.report.name, reports, trajectory)
+            candidates[k] = with_reason(candidate, trouble)
+        refused = "; ".join(f"{c.report.name}: {c.report.obstacle_to_choice}" for c in candidates)
+        return self._wait(f"no path can be executed ({refused})", candidates)
 
-    def _plan_all(self) -> tuple[tuple[GoalReport, bool], ...]:
-        """Plan to every goal, each with a generator of its own, so that threads cannot change a result."""
-        seeds = np.random.SeedSequence((self._tools.config.seed, self._now.step)).spawn(len(self._now.goals))
-        jobs = list(zip(self._now.goals, seeds, strict=True))
-        if self._tools.pool is None or len(jobs) == 1:
-            return tuple(self._plan_one(*job) for job in jobs)
-        return tuple(self._tools.pool.map(lambda job: self._plan_one(*job), jobs))
+    def _late(self) -> bool:
+        return self._deadline is not None and self._deadline()
 
-    def _plan_one(self, name: str, seed: np.random.SeedSequence) -> tuple[GoalReport, bool]:
-        """Return the best path to a goal and whether it is the very one being executed."""
-        cfg = self._tools.config
-        initial, warm_start = self._warm_start(name)
-        plan = self._planner.plan(initial, np.random.default_rng(seed), self._deadline)
-        report = self._report(name, plan, warm_start)
-        if warm_start != "executing":
-            return report, False
-        # The robot is on its way: a path that is hardly better is not worth a change of its movement.
-        rest = self._report(name, self._planner.assess(initial, plan.iterations), warm_start)
-        better = report.selection_cost < (1.0 - cfg.min_improvement) * rest.selection_cost
-        return (report, False) if report.valid and (better or not rest.valid) else (rest, True)
+    def _ranking(self, candidates: Sequence[Candidate]) -> list[int]:
+        """Return the eligible candidates, best first; the goal being worked on goes first unless clearly beaten."""
+        cfg, now = self._tools.config, self._now
+        order = [k for k, candidate in enumerate(candidates) if candidate.report.eligible]
+        order.sort(key=lambda k: candidates[k].report.selection_cost)
+        present = next((k for k in order if candidates[k].report.name == now.chosen), None)
+        if present is None or order[0] == present:
+            return order
+        cost = candidates[present].report.selection_cost
+        beaten = []
+        for k in order[: order.index(present)]:
+            other = candidates[k].report
+            margin = cfg.switch_cost * (1 + now.left.get(other.name, 0))
+            if other.selection_cost < (1.0 - cfg.switch_improvement) * cost - margin:
+                beaten.append(k)
+        return beaten + [present] + [k for k in order if k != present and k not in beaten]
 
-    def _warm_start(self, name: str) -> tuple[FloatArray, str]:
-        """Return the path to begin with and where it comes from."""
-        now, cfg, weights = self._now, self._tools.config, self._tools.weights
-        n = cfg.stomp.n_waypoints
-        if name not in now.paths:
-            return straight(self._q, now.goals[name], n), "straight"
-        if name == now.chosen and not now.held:
-            return resampled(now.executing.rest_of(now.t_switch_s, _REREAD), n, weights), "executing"
-        old = reconnect(
-            self._q, now.paths[name], self._planner.terms, weights, cfg.reconnect_step, n, cfg.length_weight
-        )
-        return old.path, old.kind
+    def _wait(self, reason: str, candidates: Sequence[Candidate]) -> Decision:
+        """Go on with what is being executed if it still can be; else wait, aside if the person comes here."""
+        now, reports = self._now, _reports(candidates)
+        if now.leads_to is not None and now.executing.end_s > now.t_switch_s and not self._gone_bad():
+            return self._decision(KEEP, reason + "; what is being executed still can", now.chosen, reports)
+        comes = self._person.comes_to(self._q)
+        aside = now.leads_to is None and not now.held and now.executing.end_s > now.t_switch_s
+        if not (comes or aside):
+            return self._decision(HOLD, reason, now.chosen, reports, self._stop())
+        trajectory = self._way_aside()
+        if trajectory is None:
+            return self._decision(HOLD, f"{comes or 'nowhere to go'}; {reason}", now.chosen, reports, self._stop())
+        if trajectory is now.executing:
+            return self._decision(KEEP, f"on its way aside; {reason}", now.chosen, reports)
+        return self._decision(EVADE, f"{comes or 'a better way aside'}; {reason}", now.chosen, reports, trajectory)
 
-    def _report(self, name: str, plan: Plan, warm_start: str) -> GoalReport:
-        cfg, weights = self._tools.config, self._tools.weights
-        values = self._human.evaluate(as_batch(plan.waypoints[None]))[0][0]
-        human = float(path_integral(values.astype(np.float64), plan.waypoints, weights))
-        length = float(path_parameter(plan.waypoints, weights)[-1])
-        selection = plan.total if cfg.selection == "total" else human + cfg.length_weight * length
-        return GoalReport(
-            name=name,
-            cost=plan.cost,
-            total=plan.total,
-            human=human,
-            length=length,
-            selection_cost=selection,
-            path=plan.waypoints,
-            valid=plan.valid,
-            reason=plan.reason,
-            iterations=plan.iterations,
-            warm_start=warm_start,
-        )
+    def _gone_bad(self) -> bool:
+        """Return whether what is being executed should not go on: it is not free, or the person comes to its end."""
+        executing = self._now.executing
+        return bool(self._trouble(executing) or self._person.comes_to(executing.q[-1]))
 
-    def _why(self, report: GoalReport) -> str:
-        if self._now.chosen is None:
+    def _way_aside(self) -> TimedTrajectory | None:
+        """Return the way out of the person's way that keeps the largest distance from them, up to the separation.
+
+        If the robot is on such a way already, it goes on unless another keeps a larger one.
+        """
+        now, tools = self._now, self._tools
+        known = np.concatenate(list(now.goals.values()))
+        rng = np.random.default_rng(np.random.SeedSequence((tools.config.seed, now.step, len(now.goals))))
+        best, best_gap = None, -np.inf
+        wanted = tools.config.min_separation_m
+        if now.leads_to is None and not now.held and now.executing.end_s > now.t_switch_s:
+            if not self._person.comes_to(now.executing.q[-1]) and not self._static_trouble(now.executing):
+                best, best_gap = now.executing, self._person.least_gap_m(now.executing, now.t_switch_s) + _BETTER_GAP_M
+        for path in ways_aside(tools, self._person, self._human, self._q, known, rng):
+            if best_gap >= wanted:
+                break
+            trajectory = self._timed(path)
+            gap = self._person.least_gap_m(trajectory, now.t_switch_s)
+            if gap > best_gap and not self._static_trouble(trajectory):
+                best, best_gap = trajectory, gap
+        return best
+
+    def _why(self, report: GoalReport, candidates: Sequence[Candidate], leave: str) -> str:
+        chosen = self._now.chosen
+        if chosen is None:
             return f"{report.name} is the cheapest goal"
-        if report.name != self._now.chosen:
-            return f"{report.name} has become cheaper than {self._now.chosen}"
-        return f"a better path to {report.name}"
+        if report.name == chosen:
+            return (
+                f"a better path to {report.name}" if self._now.leads_to == chosen else f"a way to {report.name} again"
+            )
+        old = next(c.report for c in candidates if c.report.name == chosen)
+        if leave:
+            return f"leaves {chosen}: {leave}"
+        if not old.eligible:
+            return f"{chosen} is out of the question: {old.obstacle_to_choice}"
+        return f"{report.name} costs {report.selection_cost:.4f}, {chosen} {old.selection_cost:.4f}"
 
-    def _timed(self, report: GoalReport) -> TimedTrajectory:
+    def _timed(self, path: FloatArray) -> TimedTrajectory:
         tools = self._tools
         return time_parameterise(
-            report.path,
+            path,
             tools.velocity_limit,
             tools.acceleration_limit,
             self._v,
@@ -201,17 +173,21 @@ class ReplanningStep:
 
     def _trouble(self, trajectory: TimedTrajectory) -> str:
         """Return why a trajectory cannot be executed from the switch on; empty if it can."""
-        tools = self._tools
-        begin = min(self._now.t_switch_s, trajectory.end_s)
-        n = max(5, int(np.ceil((trajectory.end_s - begin) / _CHECK_PERIOD_S)) + 1)
-        q = trajectory.sample(np.linspace(begin, trajectory.end_s, n))[0]
-        slack = _EXECUTION_SLACK_RAD
-        if ((q < tools.chain.lower - slack) | (q > tools.chain.upper + slack)).any():
+        trouble = self._static_trouble(trajectory)
+        if trouble:
+            return trouble
+        person = self._person.in_the_way(trajectory, self._now.t_switch_s)
+        if person is not None:
+            return f"its trajectory comes too close to the person: {person}"
+        return self._person.on_the_way(trajectory, self._now.t_switch_s)
+
+    def _static_trouble(self, trajectory: TimedTrajectory) -> str:
+        chain, begin_s = self._tools.chain, self._now.t_switch_s
+        q = trajectory.q[trajectory.t_s >= begin_s]
+        if ((q < chain.lower - _EXECUTION_SLACK_RAD) | (q > chain.upper + _EXECUTION_SLACK_RAD)).any():
             return "its trajectory leaves the joint limits"
-        nearest = tools.obstacles.costs_and_distances(q[None])[1]
-        if nearest.min() < tools.obstacles.margin_m - _EXECUTION_SLACK_M:
-            return "its trajectory comes too close to an obstacle"
-        return ""
+        trouble = self._tools.checker.first_trouble(trajectory, begin_s)
+        return "" if trouble is None else f"its trajectory is not free: {trouble}"
 
     def _decision(
         self,
@@ -233,3 +209,7 @@ class ReplanningStep:
             t_switch_s=float("nan") if trajectory is None else now.t_switch_s,
             trajectory=trajectory,
         )
+
+
+def _reports(candidates: Sequence[Candidate]) -> tuple[GoalReport, ...]:
+    return tuple(candidate.report for candidate in candidates)

@@ -228,6 +228,11 @@ class StompRun:
         return int(self._counters[arm_loop.DONE])
 
     @property
+    def limit(self) -> int:
+        """Updates it will have had at most."""
+        return self._planner.config.n_iterations
+
+    @property
     def finished(self) -> bool:
         """Whether all updates are done, or the plan has converged."""
         cfg, counters = self._planner.config, self._counters

@@ -77,10 +77,18 @@ def test_it_says_whether_the_goal_was_switched() -> None:
     assert not decision(previous=None).switched
 
 
+def test_the_margin_is_to_the_next_goal_that_could_have_been_chosen() -> None:
+    goals = (report("red"), report("blue", 2.0, valid=False), report("green", 4.0))
+    assert decision(goals=goals).margin == 3.0
+    assert decision(goals=goals, chosen="green").margin == -3.0  # habit decided
+    assert np.isnan(decision().margin)
+    assert np.isnan(decision(goals=(replace(report("red"), set_aside="hopeless"), report("green"))).margin)
+
+
 def test_it_explains_itself_in_one_line() -> None:
     text = decision().summary()
     assert "\n" not in text
-    for part in ("step 3", "replan red", "was blue", "cheapest", "blue impossible (in the way)"):
+    for part in ("step 3", "replan red", "was blue", "cheapest", "blue 2.0000 (in the way)"):
         assert part in text
 
 

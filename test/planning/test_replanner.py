@@ -11,9 +11,11 @@ from hypothesis import strategies as st
 from planning_worlds import field_around, free_space, nobody, planar_arm, somebody_at
 
 from humanpred_ros.errors import GoalUnreachableError, PlanningError
+from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
 from humanpred_ros.planning.decision import Decision
 from humanpred_ros.planning.replanner import MultiGoalReplanner
 from humanpred_ros.planning.replanner_config import ReplannerConfig
+from humanpred_ros.planning.rounds import TURN
 from humanpred_ros.planning.stomp import StompConfig
 from humanpred_ros.planning.trajectory import LIMIT_TOLERANCE
 from humanpred_ros.robot.scene import Goal
@@ -135,12 +137,14 @@ def test_it_arrives_and_stays() -> None:
     assert np.array_equal(q, goal)
     assert not v.any()
     assert not a.any()
-    # Arrived means the task has begun: even a person at the arm does not make it leave.
+    # A person at the arm's side does not make it leave; one who comes to where it is does.
     tool = ARM.chain.link_poses(goal)[-1, :3, 3]
-    crowded = subject.plan(somebody_at(tool[0], tool[1], t_s=4.1))
-    assert crowded.action == "arrived"
-    assert crowded.report(crowded.chosen).cost["human"] > 0.0
-    assert subject.keep(nobody(4.15)).action == "arrived"
+    assert subject.plan(somebody_at(tool[0] + 0.5, tool[1], t_s=4.1)).action == "arrived"
+    assert subject.respond(nobody(4.15)).action == "arrived"
+    crowded = subject.respond(somebody_at(tool[0], tool[1], t_s=4.2))
+    assert crowded.action in ("replan", "evade")
+    assert crowded.switched or crowded.action == "evade"
+    assert "the person is likely" in crowded.reason
 
 
 def test_a_path_that_is_hardly_better_is_not_taken() -> None:
@@ -211,10 +215,11 @@ def test_a_plan_that_came_too_late_is_not_executed() -> None:
 
 
 def test_nothing_is_executed_through_an_obstacle() -> None:
-    occupied = np.zeros((50, 50, 50), dtype=np.bool_)
     x, y = np.meshgrid(np.arange(50) * 0.05 - 1.25, np.arange(50) * 0.05 - 1.25, indexing="ij")
-    ring = (np.hypot(x, y) < 1.2) & (np.abs(np.arctan2(y, x)) > 0.75) & (np.hypot(x, y) > 0.12)
-    occupied[ring] = True
+    angle = np.arctan2(y, x)
+    walls = ((angle > 0.55) & (angle < 0.95)) | ((angle > -0.6) & (angle < -0.25))  # between the start and the goals
+    occupied = np.zeros((50, 50, 50), dtype=np.bool_)
+    occupied[walls & (np.hypot(x, y) < 1.2) & (np.hypot(x, y) > 0.12)] = True
     subject = replanner(field=field_around(occupied, (-1.25, -1.25, -1.25), 0.05))
     decision = subject.plan(nobody())
     assert decision.action == "hold"
@@ -223,19 +228,154 @@ def test_nothing_is_executed_through_an_obstacle() -> None:
     assert "obstacle" in decision.reason
     subject.commit(decision)
     assert np.array_equal(subject.state_at(5.0)[0], START)
-    assert subject.due(0.01)
+    with pytest.raises(GoalUnreachableError, match="goal left: .* from obstacle"):
+        replanner(field=field_around(np.ones((50, 50, 50), dtype=np.bool_), (-1.25, -1.25, -1.25), 0.05))
 
 
-def test_a_deadline_that_has_passed_leaves_the_straight_line() -> None:
-    decision = replanner().plan(nobody(), deadline=lambda: True)
-    assert decision.action == "replan"
+def test_a_deadline_too_short_for_one_update_is_a_hold_with_a_reason() -> None:
+    subject = replanner()
+    decision = subject.plan(nobody(), deadline=lambda: True)
+    assert (decision.action, decision.trajectory) == ("hold", None)
+    assert "no time for a single update" in decision.reason
     assert {report.iterations for report in decision.goals} == {0}
+    # What is being executed goes on if it still can.
+    subject.commit(subject.plan(nobody(0.1)))
+    assert subject.plan(nobody(0.2), deadline=lambda: True).action == "keep"
+
+
+def test_goals_share_the_time_there_is() -> None:
+    goals = tuple(Goal(f"place {k}", START + np.array([0.2 * k - 0.7, 0.1, 0.0])) for k in range(8))
+    for n_threads in (1, 2):
+        asked = iter([False] * 30 + [True] * 1000)
+        long = replace(CONFIG, n_threads=n_threads, prune_after=0, stomp=replace(CONFIG.stomp, n_iterations=400))
+        decision = replanner(long, goals=goals).plan(nobody(), deadline=lambda: next(asked))
+        done = [report.iterations for report in decision.goals]
+        assert sum(done) > 0
+        assert max(done) - min(done) <= 2 * TURN
+
+
+def test_a_hopeless_goal_is_set_aside_with_a_reason_and_comes_back() -> None:
+    keen = replace(CONFIG, prune_after=3, prune_factor=1.5, prune_cost=0.0, min_separation_m=0.0, min_improvement=0.0)
+    subject = replanner(keen)
+    decisions = steps(subject, [lambda t: on_the_way_to("left", t, 0.9), nobody])
+    left, right = (decisions[0].report(name) for name in ("left", "right"))
+    assert left.set_aside.startswith("hopeless: costs")
+    assert "right" in left.set_aside
+    assert (left.iterations, right.iterations) == (3, 15)
+    again = decisions[1].report("left")
+    assert again.revived
+    assert not again.set_aside
+    assert again.iterations == 15
+
+
+def test_a_goal_that_the_person_comes_to_is_set_aside() -> None:
+    x, y, _ = ARM.chain.link_poses(LEFT)[-1, :3, 3]
+    decision = replanner().plan(somebody_at(x, y, radius_m=0.1))
+    assert decision.chosen == "right"
+    assert "the person is likely (p >= 0.3) to come within" in decision.report("left").set_aside
+    assert decision.report("left").iterations == 0
+    # One who is hardly likely to come does not.
+    unlikely = replanner().plan(somebody_at(x, y, radius_m=0.1, probability=0.2)).report("left")
+    assert "person" not in unlikely.set_aside
+    assert unlikely.iterations > 0
+
+
+def test_of_a_goals_configurations_the_one_that_disturbs_least_is_planned_to() -> None:
+    either = Goal("either", np.stack([LEFT, RIGHT]))
+    x, y, _ = ARM.chain.link_poses(LEFT)[-1, :3, 3]
+    worlds = {0: nobody, 1: lambda: somebody_at(x, y, radius_m=0.1)}
+    for alternative, world in worlds.items():
+        report = replanner(goals=(either,)).plan(world()).report("either")
+        assert report.alternative == alternative
+        np.testing.assert_array_equal(report.path[-1], either.configurations[alternative])
+    # On the way to one it stays with it, until the person comes there.
+    subject = replanner(goals=(either,))
+    decisions = steps(subject, [nobody] * 3 + [lambda t: somebody_at(x, y, t, radius_m=0.1)] * 2)
+    assert [d.report("either").alternative for d in decisions] == [0, 0, 0, 1, 1]
+
+
+def test_tasks_need_not_be_equal() -> None:
+    assert replanner(goals=(Goal("near", LEFT), Goal("far", 1.4 * RIGHT))).plan(nobody()).chosen == "near"
+    dear = (Goal("near", LEFT, task_cost=1.0), Goal("far", 1.4 * RIGHT))
+    decision = replanner(goals=dear).plan(nobody())
+    assert decision.chosen == "far"
+    assert decision.report("near").task_cost == 1.0
+    with_cost, without = decision.report("near"), replanner().plan(nobody()).report("left")
+    assert with_cost.selection_cost == pytest.approx(1.0 + without.selection_cost, rel=0.05)
+
+
+def test_it_does_not_dither_between_equal_goals() -> None:
+    # Each step one of two places is a little worse than the other, by turns.
+    worlds = [lambda t, k=k: on_the_way_to("left" if k % 2 else "right", t, 0.97) for k in range(8)]
+    soft = replace(CONFIG, min_separation_m=0.0, prune_after=0)
+    habitual = steps(replanner(replace(soft, switch_cost=10.0)), worlds)
+    assert sum(d.switched for d in habitual) == 0
+    fickle = steps(replanner(replace(soft, switch_cost=0.0, switch_improvement=0.0)), worlds)
+    assert sum(d.switched for d in fickle) > 2
+
+
+def test_a_motion_that_has_become_bad_is_replanned_at_once() -> None:
+    subject = replanner(replace(CONFIG, min_improvement=0.5), goals=(Goal("left", LEFT),))
+    assert [subject.respond(nobody(t)).action for t in (0.1, 0.2, 0.21)] == ["replan", "keep", "keep"]
+    x, y, _ = ARM.chain.link_poses(LEFT)[-1, :3, 3]
+    # No step is due before 0.3 s.
+    decision = subject.respond(somebody_at(x, y, t_s=0.23, radius_m=0.1))
+    assert (decision.step, len(decision.goals)) == (3, 1)
+    assert decision.report("left").set_aside
+    assert subject.due(0.3)  # nor is that one put off
+
+
+def test_it_stops_before_it_comes_too_close() -> None:
+    subject = replanner(replace(CONFIG, period_s=0.3), goals=(Goal("left", LEFT),))
+    subject.commit(subject.plan(nobody(0.0)))
+    t = 0.6
+    q = subject.state_at(t + 0.15)[0]
+    x, y, _ = ARM.chain.link_poses(q)[-1, :3, 3]
+    decision = subject.respond(somebody_at(x, y, t_s=t, radius_m=0.1, probability=1.0), now=lambda: t)
+    assert decision.action == "hold"
+    assert decision.reason.startswith("too close: ")
+    assert decision.trajectory is not None
+    assert decision.t_switch_s == t
+    # A person who is only predicted to come there does not stop it at once.
+    again = replanner(replace(CONFIG, period_s=0.3), goals=(Goal("left", LEFT),))
+    again.commit(again.plan(nobody(0.0)))
+    assert again.respond(somebody_at(x, y, t_s=t, radius_m=0.1, probability=0.9), now=lambda: t).action != "hold"
+
+
+def test_an_arm_at_rest_gets_out_of_the_way() -> None:
+    walls = (Goal("left", LEFT), Goal("right", RIGHT))
+    subject = replanner(goals=walls)
+    x, y, _ = ARM.chain.link_poses(START)[-1, :3, 3]
+    everywhere = [somebody_at(*ARM.chain.link_poses(q)[-1, :2, 3], t_s=0.1, radius_m=0.15) for q in (LEFT, RIGHT)]
+    here = somebody_at(x, y, t_s=0.1, radius_m=0.15)
+    probability = np.maximum.reduce([o.probability for o in (*everywhere, here)])
+    decision = subject.respond(Occupancy(here.grid, probability, 0.1))
+    assert decision.action == "evade"
+    assert not any(report.eligible for report in decision.goals)
+    assert decision.trajectory is not None
+    # Farther from the person than before, and it stays there while nothing changes.
+    points = ARM.spheres().world_m(ARM.chain, np.stack([START, decision.trajectory.q[-1]]))
+    gap = np.hypot(points[..., 0] - x, points[..., 1] - y).min(axis=1)
+    assert gap[1] > gap[0] + 0.1
+    later = [subject.respond(Occupancy(here.grid, probability, 0.1 * k)) for k in range(2, 40)]
+    assert {d.action for d in later} <= {"keep", "hold"}
+    # Once they have gone, the work goes on.
+    assert subject.respond(nobody(4.0)).action == "replan"
+
+
+def test_an_occupancy_of_another_lattice_is_refused() -> None:
+    subject = MultiGoalReplanner(ARM, GOALS, FREE, CONFIG, grid=nobody().grid)
+    subject.start(START, 0.0)
+    assert subject.plan(nobody()).action == "replan"
+    other = VoxelGrid((-1.0, -1.0, -0.1), 0.1, (20, 20, 2))
+    with pytest.raises(PlanningError, match="lattice"):
+        subject.respond(Occupancy(other, np.zeros(other.shape, dtype=np.float32)))
 
 
 def test_selection_is_the_authors_by_default_and_the_total_if_asked() -> None:
     decision = replanner().plan(on_the_way_to("left"))
     for report in decision.goals:
-        assert report.selection_cost == pytest.approx(report.human + 0.002 * report.length)
+        assert report.selection_cost == pytest.approx(report.human + 0.002 * report.length + 0.2 * report.rest)
     total = replanner(replace(CONFIG, selection="total")).plan(on_the_way_to("left"))
     for report in total.goals:
         assert report.selection_cost == pytest.approx(report.total)
@@ -260,8 +400,18 @@ def test_misuse_is_refused() -> None:
         replanner(goals=(Goal("far", np.array([0.0, 2.7, 0.0])),))
     with pytest.raises(PlanningError, match="selection"):
         replace(CONFIG, selection="cheapest")
-    with pytest.raises(PlanningError, match="period_s"):
-        replace(CONFIG, period_s=0.0)
+    for change in (
+        {"period_s": 0.0},
+        {"min_separation_m": -0.1},
+        {"rest_weight": np.nan},
+        {"switch_improvement": 1.0},
+        {"likely_probability": 0.0},
+        {"prune_factor": 0.5},
+    ):
+        with pytest.raises(PlanningError, match="wanted"):
+            replace(CONFIG, **change)
+    with pytest.raises(PlanningError, match="start configuration: wanted two within"):
+        replanner().start(np.array([0.0, 2.7, 0.0]), 0.0)
 
 
 def test_warming_up_does_not_disturb() -> None:
