@@ -68,3 +68,16 @@ def candidate_markers(paths: Sequence[tuple[str, FloatArray, bool]], stamp: Time
         marker.points = _points(positions)
         array.markers.append(marker)
     return array
+
+
+def rollout_markers(rollouts: Sequence[tuple[str, Sequence[FloatArray]]], stamp: Time) -> MarkerArray:
+    """Return the noisy paths STOMP compared for each goal: (goal name, tool positions (N, 3) of each rollout)."""
+    array = MarkerArray()
+    for name, paths in rollouts:
+        colour = ColorRGBA(r=0.3, g=0.5, b=0.9, a=0.4)
+        marker = _marker(Marker.LINE_LIST, f"rollouts/{name}", "world", stamp, 0.003, colour)
+        for positions in paths:
+            ends = np.repeat(positions, 2, axis=0)[1:-1]  # a list of separate lines: inner points twice
+            marker.points += _points(ends)
+        array.markers.append(marker)
+    return array

@@ -21,7 +21,7 @@ _RCLPY_PREFIXES = ("qos_overrides.",)
 
 
 def declare(node: Node, settings: type[Settings]) -> Settings:
-    """Declare one read-only ROS parameter per field of `settings` and return the values in force.
+    """Declare one ROS parameter per field of `settings`, read-only unless it may change, and return their values.
 
     Raises:
         UsageError: a parameter of the wrong type or outside its range, or of a name that no node of this
@@ -34,7 +34,7 @@ def declare(node: Node, settings: type[Settings]) -> Settings:
     for item in fields(settings):  # type: ignore[arg-type]
         name, default, description = item.name, item.default, item.metadata["description"]
         low, high = item.metadata["low"], item.metadata["high"]
-        descriptor = ParameterDescriptor(description=description, read_only=True)
+        descriptor = ParameterDescriptor(description=description, read_only=not item.metadata["changeable"])
         if low is not None and isinstance(default, int):
             descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
         elif low is not None:

@@ -18,9 +18,14 @@ _REPLANNER = ReplannerConfig()
 _STOMP = StompConfig()
 
 
-def setting(default: Any, description: str, low: float | None = None, high: float | None = None) -> Any:
-    """Return a dataclass field that carries a parameter's description and, for numbers, its range."""
-    metadata = {"description": description, "low": low, "high": high}
+def setting(
+    default: Any, description: str, low: float | None = None, high: float | None = None, changeable: bool = False
+) -> Any:
+    """Return a dataclass field that carries a parameter's description and, for numbers, its range.
+
+    A parameter can be changed while the node runs only where that is said.
+    """
+    metadata = {"description": description, "low": low, "high": high, "changeable": changeable}
     return field(default=default, metadata=metadata)
 
 
@@ -73,6 +78,28 @@ class StompPlannerSettings:
     waypoints: int = setting(_STOMP.n_waypoints, "waypoints of a path", 10, 1000)
     iterations: int = setting(_STOMP.n_iterations, "STOMP iterations per goal and step", 1, 10000)
     rollouts: int = setting(_STOMP.n_rollouts, "noisy rollouts per iteration", 2, 1000)
+    noise_std: float = setting(
+        _STOMP.noise_std,
+        "noise of the rollouts, units of R^-1; may be changed at run time",
+        1e-6,
+        1.0,
+        changeable=True,
+    )
+    noise_decay: float = setting(_STOMP.noise_decay, "factor on the noise per iteration", 0.01, 1.0)
+    velocity_scale: float = setting(_REPLANNER.velocity_scale, "share of the URDF's velocity limits used", 0.01, 1.0)
+    acceleration_limit: float = setting(
+        _REPLANNER.acceleration_limit, "acceleration limit of every joint, rad/s^2", 0.01, 100.0
+    )
+    padding_m: float = setting(_REPLANNER.padding_m, "clearance every motion keeps from obstacles", 0.0, 0.09)
+    human_margin_m: float = setting(
+        _REPLANNER.human_margin_m, "coming this close to predicted occupancy costs as much as entering it", 0.0, 0.5
+    )
+    min_separation_m: float = setting(
+        _REPLANNER.min_separation_m, "the arm never moves closer to the person than this; 0 forbids nothing", 0.0, 1.0
+    )
+    likely_probability: float = setting(
+        _REPLANNER.likely_probability, "from here on the person counts as likely to come to a voxel", 0.001, 1.0
+    )
     controller: str = setting("", "node that must be listening to the trajectories before this one is ready")
     listener: str = setting("", "node that must be listening to the decisions before this one is ready")
     max_human_age_s: float = setting(0.5, "older human occupancy leads to a hold", 0.02, 60.0)
@@ -80,8 +107,27 @@ class StompPlannerSettings:
 
     def replanner_config(self) -> ReplannerConfig:
         """Return the replanner's configuration these parameters stand for."""
-        stomp = replace(_STOMP, n_waypoints=self.waypoints, n_iterations=self.iterations, n_rollouts=self.rollouts)
-        return replace(_REPLANNER, period_s=self.period_s, seed=self.seed, n_threads=self.threads, stomp=stomp)
+        stomp = replace(
+            _STOMP,
+            n_waypoints=self.waypoints,
+            n_iterations=self.iterations,
+            n_rollouts=self.rollouts,
+            noise_std=self.noise_std,
+            noise_decay=self.noise_decay,
+        )
+        return replace(
+            _REPLANNER,
+            period_s=self.period_s,
+            seed=self.seed,
+            n_threads=self.threads,
+            velocity_scale=self.velocity_scale,
+            acceleration_limit=self.acceleration_limit,
+            padding_m=self.padding_m,
+            human_margin_m=self.human_margin_m,
+            min_separation_m=self.min_separation_m,
+            likely_probability=self.likely_probability,
+            stomp=stomp,
+        )
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,8 @@ import sys
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState, PointCloud2
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
@@ -14,7 +16,7 @@ from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import ArrayError, PlanningError
 from humanpred_ros.nodes import conversions, qos, topics
 from humanpred_ros.nodes.base import GraphNode, run_node
-from humanpred_ros.nodes.markers import candidate_markers
+from humanpred_ros.nodes.markers import candidate_markers, rollout_markers
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.nodes.settings import StompPlannerSettings
 from humanpred_ros.occupancy.grid import Occupancy
@@ -48,6 +50,8 @@ class StompPlannerNode(GraphNode):
         self.trajectory_publisher = self.create_publisher(JointTrajectory, topics.TRAJECTORY, qos.COMMAND)
         self.decision_publisher = self.create_publisher(DiagnosticArray, topics.DECISION, qos.SENSOR_PUBLISHER)
         self.candidate_publisher = self.create_publisher(MarkerArray, topics.CANDIDATES, qos.MARKERS)
+        self.rollout_publisher = self.create_publisher(MarkerArray, topics.ROLLOUTS, qos.MARKERS)
+        self.add_on_set_parameters_callback(self.on_parameters)
         self.create_subscription(JointState, topics.JOINT_STATES, self.on_joint_state, qos.NEWEST_ONLY)
         self.create_subscription(
             PointCloud2,
@@ -56,6 +60,13 @@ class StompPlannerNode(GraphNode):
             qos.sensor_subscription(settings.lossless, newest_only=True),
         )
         self.create_timer(_WATCH_PERIOD_S, self.watch)
+
+    def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Take the noise of the rollouts at run time; everything else is read-only."""
+        for parameter in parameters:
+            if parameter.name == "noise_std":
+                self.replanner.set_noise(parameter.value)
+        return SetParametersResult(successful=True)
 
     def waiting_for(self) -> str:
         if self.arm_q is None:
@@ -105,6 +116,7 @@ class StompPlannerNode(GraphNode):
         In real time STOMP stops iterating when time runs out, so that an overloaded machine gets a poorer plan
         rather than none. Stepped runs take the time they need, which makes them the same on every machine.
         """
+        self.replanner.keep_rollouts = self.rollout_publisher.get_subscription_count() > 0
         if self.settings.lossless:
             return self.replanner.respond(occupancy)
         enough_s = occupancy.t_s + _STOMP_SHARE * self.settings.period_s
@@ -145,6 +157,12 @@ class StompPlannerNode(GraphNode):
                 for goal in decision.goals
             ]
             self.candidate_publisher.publish(candidate_markers(paths, conversions.time_message(stamp_ns)))
+        if decision.goals and self.replanner.rollouts:
+            noisy = [
+                (name, [self.replanner.tool_path(path) for path in paths])
+                for name, paths in self.replanner.rollouts.items()
+            ]
+            self.rollout_publisher.publish(rollout_markers(noisy, conversions.time_message(stamp_ns)))
 
 
 def main() -> None:

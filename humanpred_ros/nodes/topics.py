@@ -10,6 +10,7 @@ JOINT_STATES = "/joint_states"
 TRAJECTORY = "/r_arm_controller/joint_trajectory"
 DECISION = "/stomp_planner/decision"
 CANDIDATES = "/stomp_planner/candidates"
+ROLLOUTS = "/stomp_planner/rollouts"
 DIAGNOSTICS = "/diagnostics"
 CLOCK = "/clock"
 

@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from humanpred_ros.checks import FloatArray
-from humanpred_ros.planning.costs import HumanOccupancyCost, as_batch
+from humanpred_ros.planning.costs import BoolArray, HumanOccupancyCost, as_batch
 from humanpred_ros.planning.decision import GoalReport
 from humanpred_ros.planning.path import path_integral, path_parameter, resampled, straight
 from humanpred_ros.planning.person import Person
 from humanpred_ros.planning.reconnection import reconnect
 from humanpred_ros.planning.rounds import advance_all
 from humanpred_ros.planning.situation import Situation, Tools
-from humanpred_ros.planning.stomp import Plan, StompPlanner, StompRun
+from humanpred_ros.planning.stomp import Float32Array, Plan, StompPlanner, StompRun
 
 #: Configurations the rest of a trajectory is first read at, before it is spaced evenly.
 _REREAD = 300
@@ -58,6 +58,7 @@ class Candidates:
         planner: StompPlanner,
         human: HumanOccupancyCost,
     ) -> None:
+        self._runs: dict[str, StompRun] = {}
         self._tools, self._now, self._q = tools, situation, q
         self._person, self._planner, self._human = person, planner, human
 
@@ -71,14 +72,19 @@ class Candidates:
         tasks = [self._task(name) for name in now.goals]
         for task, seed in zip(tasks, seeds, strict=True):
             if not task.set_aside:
-                task.run = self._planner.begin(task.initial, np.random.default_rng(seed))
+                task.run = self._planner.begin(task.initial, np.random.default_rng(seed), now.noise_std)
         n = cfg.stomp.n_iterations
         first = cfg.prune_after if 0 < cfg.prune_after < n and len(tasks) > 1 else n
         self._advance(tasks, first, deadline)
         if first < n:
             self._prune(tasks)
             self._advance(tasks, n - first, deadline)
+        self._runs = {task.name: task.run for task in tasks if task.run is not None}
         return tuple(self._candidate(task) for task in tasks)
+
+    def rollouts(self) -> dict[str, Float32Array]:
+        """Return the noisy trajectories (R, N, D) of each goal's last update, where there was one."""
+        return {name: run.rollouts for name, run in self._runs.items() if run.iterations}
 
     def arrived(self, name: str) -> GoalReport:
         """Return the report of a goal the robot rests at."""
@@ -133,7 +139,7 @@ class Candidates:
         cfg, weights = self._tools.config, self._tools.weights
         lines = np.stack([straight(self._q, goal, cfg.stomp.n_waypoints) for goal in configurations])
         human = self._human.evaluate(as_batch(lines))[0].astype(np.float64)
-        free = np.asarray(self._tools.obstacles.valid(lines)).all(axis=1)
+        free: BoolArray = np.all(self._tools.obstacles.valid(lines), axis=1)
         before = self._now.paths.get(name)
         ranks = []
         for k, line in enumerate(lines):

@@ -91,8 +91,8 @@ class Decision:
         stamp_s: stamp of the occupancy it follows from; of the hold, if it is one.
         step: number of the replanning step, from 1 as in P1; of the last one (0 before any) if none was due.
         action: "replan" (`trajectory` takes over at `t_switch_s`), "keep" (the trajectory being executed goes
-            on), "hold" (stop, or stay stopped), "evade" (`trajectory` takes the arm out of the person's way), "arrived" (at rest at the chosen goal) or "missed" (a plan
-            that came too late and is not executed).
+            on), "hold" (stop, or stay stopped), "evade" (`trajectory` takes the arm out of the person's way),
+            "arrived" (at rest at the chosen goal) or "missed" (a plan that came too late and is not executed).
         reason: why, in words.
         chosen: name of the goal being worked on; None before the first choice.
         previous: the same before this step.

@@ -36,6 +36,7 @@ from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.planning.schedule import Schedule
 from humanpred_ros.planning.situation import Situation, Tools
 from humanpred_ros.planning.step import ReplanningStep
+from humanpred_ros.planning.stomp import Float32Array
 from humanpred_ros.planning.stopping import brake_along
 from humanpred_ros.planning.timing import time_parameterise
 from humanpred_ros.planning.trajectory import TimedTrajectory
@@ -72,6 +73,10 @@ class Arm(Protocol):
 
 class MultiGoalReplanner:
     """P1's Algorithm 1 for one arm and a set of goals.
+
+    Attributes:
+        keep_rollouts: whether `rollouts` is wanted; it is for pictures only.
+        rollouts: noisy trajectories (R, N, D) of the last step's last update, by goal.
 
     Not safe to call from several threads at once; it uses threads of its own.
     """
@@ -131,6 +136,9 @@ class MultiGoalReplanner:
         self._configurations = {goal.name: self._checked_goal(goal) for goal in goals}
         self._task_costs = {goal.name: goal.task_cost for goal in goals}
         self._schedule: Schedule | None = None
+        self._noise_std: FloatArray | None = None
+        self.keep_rollouts = False
+        self.rollouts: dict[str, Float32Array] = {}
 
     @classmethod
     def for_scene(cls, scene: Scene, config: ReplannerConfig | None = None) -> MultiGoalReplanner:
@@ -168,6 +176,17 @@ class MultiGoalReplanner:
         self._last_due_s = t_s  # P1 looks at the first 5 % of a motion before it plans
         self._held = ""
         self._urgent = False
+
+    def set_noise(self, noise_std: ArrayLike) -> None:
+        """Let the steps to come use this noise, as in `StompConfig`: one number, or one for each joint.
+
+        Raises:
+            PlanningError: for another number of them, or one that is not positive.
+        """
+        std = np.asarray(noise_std, dtype=np.float64)
+        if std.shape not in ((), (self.chain.n_joints,)) or not (np.isfinite(std) & (std > 0.0)).all():
+            raise PlanningError(f"noise_std: wanted one number > 0 or {self.chain.n_joints} of them, got {std}")
+        self._noise_std = std
 
     def due(self, t_s: float) -> bool:
         """Return whether an occupancy stamped `t_s` calls for a replanning step; after an emergency stop, any does."""
@@ -238,8 +257,11 @@ class MultiGoalReplanner:
             arrived=self._at_goal(t_switch),
             executing=schedule.at(t_switch),
             held=bool(self._held),
+            noise_std=self._noise_std,
         )
-        decision = ReplanningStep(self._tools, situation, occupancy, deadline).decide()
+        step = ReplanningStep(self._tools, situation, occupancy, deadline)
+        decision = step.decide()
+        self.rollouts = step.rollouts() if self.keep_rollouts else {}
         return replace(decision, compute_s=time.perf_counter() - began)
 
     def commit(self, decision: Decision) -> None:

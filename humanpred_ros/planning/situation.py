@@ -62,6 +62,7 @@ class Situation:
         arrived: whether the robot will rest at the chosen goal by the switch.
         executing: the trajectory being executed at the switch if nothing changes.
         held: whether that is a stop.
+        noise_std: noise of this step's rollouts, as in `StompConfig`; None for the configured one.
     """
 
     step: int
@@ -77,3 +78,4 @@ class Situation:
     arrived: bool
     executing: TimedTrajectory
     held: bool
+    noise_std: FloatArray | None = None

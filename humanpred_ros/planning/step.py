@@ -17,6 +17,7 @@ from humanpred_ros.planning.candidates import Candidate, Candidates, with_reason
 from humanpred_ros.planning.decision import ARRIVED, EVADE, HOLD, KEEP, REPLAN, Decision, GoalReport
 from humanpred_ros.planning.evasion import ways_aside
 from humanpred_ros.planning.situation import Situation, Tools
+from humanpred_ros.planning.stomp import Float32Array
 from humanpred_ros.planning.stopping import brake_along
 from humanpred_ros.planning.timing import time_parameterise
 from humanpred_ros.planning.trajectory import TimedTrajectory
@@ -74,6 +75,10 @@ class ReplanningStep:
         refused = "; ".join(f"{c.report.name}: {c.report.obstacle_to_choice}" for c in candidates)
         return self._wait(f"no path can be executed ({refused})", candidates)
 
+    def rollouts(self) -> dict[str, Float32Array]:
+        """Return the noisy trajectories (R, N, D) of each goal's last update, for pictures."""
+        return self._candidates.rollouts()
+
     def _late(self) -> bool:
         return self._deadline is not None and self._deadline()
 
@@ -125,9 +130,9 @@ class ReplanningStep:
         rng = np.random.default_rng(np.random.SeedSequence((tools.config.seed, now.step, len(now.goals))))
         best, best_gap = None, -np.inf
         wanted = tools.config.min_separation_m
-        if now.leads_to is None and not now.held and now.executing.end_s > now.t_switch_s:
-            if not self._person.comes_to(now.executing.q[-1]) and not self._static_trouble(now.executing):
-                best, best_gap = now.executing, self._person.least_gap_m(now.executing, now.t_switch_s) + _BETTER_GAP_M
+        aside = now.leads_to is None and not now.held and now.executing.end_s > now.t_switch_s
+        if aside and not (self._person.comes_to(now.executing.q[-1]) or self._static_trouble(now.executing)):
+            best, best_gap = now.executing, self._person.least_gap_m(now.executing, now.t_switch_s) + _BETTER_GAP_M
         for path in ways_aside(tools, self._person, self._human, self._q, known, rng):
             if best_gap >= wanted:
                 break

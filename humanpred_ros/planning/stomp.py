@@ -228,6 +228,11 @@ class StompRun:
         return int(self._counters[arm_loop.DONE])
 
     @property
+    def rollouts(self) -> Float32Array:
+        """The noisy trajectories (R, N, D) of the last update; none before the first."""
+        return self._rollouts[:-1].copy() if self.iterations else self._rollouts[:0].copy()
+
+    @property
     def limit(self) -> int:
         """Updates it will have had at most."""
         return self._planner.config.n_iterations

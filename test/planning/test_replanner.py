@@ -228,7 +228,7 @@ def test_nothing_is_executed_through_an_obstacle() -> None:
     assert "obstacle" in decision.reason
     subject.commit(decision)
     assert np.array_equal(subject.state_at(5.0)[0], START)
-    with pytest.raises(GoalUnreachableError, match="goal left: .* from obstacle"):
+    with pytest.raises(GoalUnreachableError, match=r"goal left: .* from obstacle"):
         replanner(field=field_around(np.ones((50, 50, 50), dtype=np.bool_), (-1.25, -1.25, -1.25), 0.05))
 
 
@@ -248,7 +248,7 @@ def test_goals_share_the_time_there_is() -> None:
     for n_threads in (1, 2):
         asked = iter([False] * 30 + [True] * 1000)
         long = replace(CONFIG, n_threads=n_threads, prune_after=0, stomp=replace(CONFIG.stomp, n_iterations=400))
-        decision = replanner(long, goals=goals).plan(nobody(), deadline=lambda: next(asked))
+        decision = replanner(long, goals=goals).plan(nobody(), deadline=lambda asked=asked: next(asked))
         done = [report.iterations for report in decision.goals]
         assert sum(done) > 0
         assert max(done) - min(done) <= 2 * TURN
@@ -412,6 +412,32 @@ def test_misuse_is_refused() -> None:
             replace(CONFIG, **change)
     with pytest.raises(PlanningError, match="start configuration: wanted two within"):
         replanner().start(np.array([0.0, 2.7, 0.0]), 0.0)
+
+
+def test_noise_can_be_changed_between_steps() -> None:
+    subject, other = replanner(), replanner()
+    other.set_noise(1e-6)
+    assert subject.plan(nobody()) != other.plan(nobody())
+    other.set_noise(CONFIG.stomp.noise_std)
+    assert subject.plan(nobody()) == other.plan(nobody())
+    for wrong in (0.0, [0.1, 0.1], np.nan):
+        with pytest.raises(PlanningError, match="noise_std"):
+            subject.set_noise(wrong)
+
+
+def test_rollouts_are_kept_on_request_only() -> None:
+    subject = replanner()
+    subject.plan(nobody())
+    assert subject.rollouts == {}
+    subject.keep_rollouts = True
+    subject.plan(nobody())
+    assert {name: paths.shape for name, paths in subject.rollouts.items()} == {
+        "left": (10, 40, 3),
+        "right": (10, 40, 3),
+    }
+    paths = subject.rollouts["left"]
+    assert np.abs(paths[:, 20] - paths[0, 20]).max() > 1e-3
+    np.testing.assert_allclose(paths[:, 0], np.tile(START, (10, 1)), atol=1e-6)
 
 
 def test_warming_up_does_not_disturb() -> None:
