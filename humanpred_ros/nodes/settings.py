@@ -90,6 +90,9 @@ class StompPlannerSettings:
     acceleration_limit: float = setting(
         _REPLANNER.acceleration_limit, "acceleration limit of every joint, rad/s^2", 0.01, 100.0
     )
+    min_improvement: float = setting(
+        _REPLANNER.min_improvement, "share by which a path must be cheaper to replace the one being executed", 0.0, 0.99
+    )
     padding_m: float = setting(_REPLANNER.padding_m, "clearance every motion keeps from obstacles", 0.0, 0.09)
     human_margin_m: float = setting(
         _REPLANNER.human_margin_m, "coming this close to predicted occupancy costs as much as entering it", 0.0, 0.5
@@ -103,6 +106,9 @@ class StompPlannerSettings:
     controller: str = setting("", "node that must be listening to the trajectories before this one is ready")
     listener: str = setting("", "node that must be listening to the decisions before this one is ready")
     max_human_age_s: float = setting(0.5, "older human occupancy leads to a hold", 0.02, 60.0)
+    stomp_share: float = setting(
+        0.45, "share of a step after which STOMP must stop in real time; the rest is for checks and sending", 0.05, 0.95
+    )
     lossless: bool = setting(False, "subscribe reliably and keep every occupancy (stepped runs)")
 
     def replanner_config(self) -> ReplannerConfig:
@@ -122,6 +128,7 @@ class StompPlannerSettings:
             n_threads=self.threads,
             velocity_scale=self.velocity_scale,
             acceleration_limit=self.acceleration_limit,
+            min_improvement=self.min_improvement,
             padding_m=self.padding_m,
             human_margin_m=self.human_margin_m,
             min_separation_m=self.min_separation_m,

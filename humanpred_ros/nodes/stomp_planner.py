@@ -25,8 +25,6 @@ from humanpred_ros.planning.replanner import MultiGoalReplanner
 from humanpred_ros.robot.scene import load_scene
 
 _WATCH_PERIOD_S = 0.05
-#: Share of a replanning step after which STOMP must stop; the rest is for timing, checking and sending.
-_STOMP_SHARE = 0.75
 
 
 class StompPlannerNode(GraphNode):
@@ -119,7 +117,7 @@ class StompPlannerNode(GraphNode):
         self.replanner.keep_rollouts = self.rollout_publisher.get_subscription_count() > 0
         if self.settings.lossless:
             return self.replanner.respond(occupancy)
-        enough_s = occupancy.t_s + _STOMP_SHARE * self.settings.period_s
+        enough_s = occupancy.t_s + self.settings.stomp_share * self.settings.period_s
         return self.replanner.respond(occupancy, self.now_s, lambda: self.now_s() >= enough_s)
 
     def stale(self, age_s: float) -> str:

@@ -40,7 +40,8 @@ class Trouble:
 
     Attributes:
         what: "obstacle", "self" or the name the checker was given for what it keeps away from.
-        at: seconds of the trajectory's clock; of a path, the waypoint's number, fractions between two.
+        at: seconds of the trajectory's clock; of a path, the waypoint's number, fractions between two. Up to
+            there the clearance is the padding, less the resolution at most.
         clearance_m: at that moment, of the part of the arm concerned. It may exceed `wanted_m` by up to
             half the resolution, where the time around is too short to tell.
         wanted_m: the padding asked for.

@@ -351,10 +351,15 @@ class MultiGoalReplanner:
         planner.plan(path, np.random.default_rng(0))
         reconnect(q, path, planner.terms, self.weights, self.config.reconnect_step, len(path))
         trajectory = time_parameterise(path, self.velocity_limit, self.acceleration_limit)
-        brake_along(trajectory, 0.5 * trajectory.duration_s, self.acceleration_limit)
+        middle_s = 0.5 * trajectory.duration_s
+        _, v, a = trajectory.sample(middle_s)
+        time_parameterise(path, self.velocity_limit, self.acceleration_limit, v, a)
+        brake_along(trajectory, middle_s, self.acceleration_limit)
         self._tools.checker.first_trouble(trajectory)
         person = self._tools.person(occupancy)
         person.in_the_way(trajectory, 0.0)
+        person.on_the_way(trajectory, 0.0)
+        person.least_gap_m(trajectory, 0.0)
         person.comes_to(q)
 
     def close(self) -> None:

@@ -1,7 +1,8 @@
 """How fast a path may be followed under velocity and acceleration limits of every joint.
 
 On a path q(s) with ṡ² = x and s̈ = u, the limits read |q' ṡ| <= v and |q' u + q'' x| <= a: linear in (x, u) at
-every s. A backward pass finds the largest x from which the rest can still be done (so a stop is always
+every s. Where something else moves the joints too, a limit may differ between a joint's two directions.
+A backward pass finds the largest x from which the rest can still be done (so a stop is always
 possible); a forward pass accelerates as much as that allows.
 """
 
@@ -18,16 +19,18 @@ _TINY = 1e-12
 
 
 @exact
-def _range_of_u(d1: NDArray[Any], d2: NDArray[Any], a_limit: NDArray[Any], x: float) -> tuple[float, float]:
-    """Return the smallest and largest u that every joint's acceleration limit allows at x."""
+def _range_of_u(
+    d1: NDArray[Any], d2: NDArray[Any], a_low: NDArray[Any], a_high: NDArray[Any], x: float
+) -> tuple[float, float]:
+    """Return the smallest and largest u that every joint's acceleration limits allow at x."""
     low, high = -np.inf, np.inf
     for j in range(len(d1)):
-        slope, offset, limit = d1[j], d2[j] * x, a_limit[j]
+        slope, offset = d1[j], d2[j] * x
         if abs(slope) < _TINY:
-            if abs(offset) > limit:
+            if offset > a_high[j] or offset < a_low[j]:
                 return 1.0, -1.0
             continue
-        one, two = (-limit - offset) / slope, (limit - offset) / slope
+        one, two = (a_low[j] - offset) / slope, (a_high[j] - offset) / slope
         low = max(low, min(one, two))
         high = min(high, max(one, two))
     return low, high
@@ -35,13 +38,19 @@ def _range_of_u(d1: NDArray[Any], d2: NDArray[Any], a_limit: NDArray[Any], x: fl
 
 @exact
 def controllable(
-    d1: NDArray[Any], d2: NDArray[Any], v_limit: NDArray[Any], a_limit: NDArray[Any], ds: float
+    d1: NDArray[Any],
+    d2: NDArray[Any],
+    v_low: NDArray[Any],
+    v_high: NDArray[Any],
+    a_low: NDArray[Any],
+    a_high: NDArray[Any],
+    ds: float,
 ) -> NDArray[Any]:
     """Return the largest x (M,) at each node from which the path's end can be reached at rest.
 
     Args:
         d1, d2: (M, D) first and second derivatives of the path by s.
-        v_limit, a_limit: (M, D) limits at each node.
+        v_low, v_high, a_low, a_high: (M, D) limits at each node, below and above 0.
         ds: distance between nodes.
     """
     n, n_joints = d1.shape
@@ -50,12 +59,13 @@ def controllable(
         top = np.inf
         for j in range(n_joints):
             if abs(d1[i, j]) > _TINY:
-                top = min(top, (v_limit[i, j] / d1[i, j]) ** 2)
+                limit = v_high[i, j] if d1[i, j] > 0.0 else v_low[i, j]
+                top = min(top, (limit / d1[i, j]) ** 2)
         # With x = 0 at the next node at the latest: x cannot exceed what the acceleration limits take away.
         low, high = 0.0, min(top, 1e12)
         for step in range(60):
             x = high if step == 0 else 0.5 * (low + high)
-            u_low, u_high = _range_of_u(d1[i], d2[i], a_limit[i], x)
+            u_low, u_high = _range_of_u(d1[i], d2[i], a_low[i], a_high[i], x)
             u_low = max(u_low, -x / (2.0 * ds))
             u_high = min(u_high, (best[i + 1] - x) / (2.0 * ds))
             if u_low <= u_high:
@@ -64,7 +74,7 @@ def controllable(
                     break
             else:
                 high = x
-            if high - low <= 1e-9 * high:
+            if high - low <= 1e-8 * high:
                 break
         best[i] = low
     return best
@@ -74,7 +84,8 @@ def controllable(
 def fastest(
     d1: NDArray[Any],
     d2: NDArray[Any],
-    a_limit: NDArray[Any],
+    a_low: NDArray[Any],
+    a_high: NDArray[Any],
     ds: float,
     best: NDArray[Any],
     first: int,
@@ -90,7 +101,7 @@ def fastest(
     x[:first] = x0
     for i in range(first - 1, n - 1):
         step = 2.0 * ((i + 1) * ds - s0) if i == first - 1 else 2.0 * ds
-        u_low, u_high = _range_of_u(d1[i], d2[i], a_limit[i], x[i])
+        u_low, u_high = _range_of_u(d1[i], d2[i], a_low[i], a_high[i], x[i])
         u = max(min(u_high, (best[i + 1] - x[i]) / step), max(u_low, -x[i] / step))
         x[i + 1] = min(max(x[i] + step * u, 0.0), best[i + 1])
     return x
@@ -106,6 +117,6 @@ def braking(d1: NDArray[Any], d2: NDArray[Any], a_limit: NDArray[Any], ds: float
     x = np.zeros(n)
     x[0] = 1.0
     for i in range(n - 1):
-        u_low, _ = _range_of_u(d1[i], d2[i], a_limit[i], x[i])
+        u_low, _ = _range_of_u(d1[i], d2[i], -a_limit[i], a_limit[i], x[i])
         x[i + 1] = max(x[i] + 2.0 * ds * min(u_low, 0.0), 0.0)
     return x

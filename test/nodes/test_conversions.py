@@ -4,11 +4,13 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from humanpred_ros.errors import ArrayError, PlanningError
 from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
+from humanpred_ros.planning.controller_checks import controller_refusal
+from humanpred_ros.planning.timing import time_parameterise
 from humanpred_ros.planning.trajectory import TimedTrajectory
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
@@ -80,25 +82,83 @@ def test_a_trajectory_survives_the_wire() -> None:
     assert np.array_equal(back.v, trajectory().v)
 
 
+def test_joints_may_come_in_any_order() -> None:
+    message = conversions.trajectory_message(("a", "b"), trajectory(), 0)
+    back = conversions.trajectory_from_message(message, ("b", "a"), 0)
+    assert np.array_equal(back.q, trajectory().q[:, ::-1])
+    assert np.array_equal(back.v, trajectory().v[:, ::-1])
+
+
+@settings(deadline=None, max_examples=50)
+@given(seed=st.integers(0, 2**32 - 1), apart_s=st.sampled_from([1e-12, 3e-10, 1.7e-9, 1e-3]))
+def test_times_stay_strictly_increasing_on_the_wire(seed: int, apart_s: float) -> None:
+    rng = np.random.default_rng(seed)
+    t = rng.uniform(0.0, 100.0) + np.cumsum(rng.uniform(0.01, 1.0, 12) * apart_s)
+    t = np.unique(t)  # steps below float64's resolution are gone
+    q = rng.normal(size=(len(t), 2))
+    origin_ns = int(rng.integers(0, 2**61))
+    message = conversions.trajectory_message(("a", "b"), TimedTrajectory(t, q, 0.0 * q, 0.0 * q), origin_ns)
+    assert controller_refusal(message, ("a", "b")) == ""
+    assert conversions.stamp_ns(message.header.stamp) == origin_ns + round(float(t[0]) * 1e9)
+    off = [
+        conversions.stamp_ns(p.time_from_start) * 1e-9 - (when - t[0])
+        for p, when in zip(message.points, t, strict=True)
+    ]
+    assert np.abs(off).max() <= (len(t) + 1) * 1e-9
+    assert np.array_equal(conversions.trajectory_from_message(message, ("a", "b"), origin_ns).q, q)
+
+
+def test_the_switch_is_where_the_robot_is_then() -> None:
+    """Over the wire too: what arrives begins in the state that what arrived before has at that time."""
+    v, a = 1.0, 4.0
+    now = time_parameterise(np.linspace([0.0, 0.0], [1.0, -0.7], 30), v, a, start_s=0.1)
+    t_switch = 0.1 + 0.123456789123
+    state = now.sample(t_switch)
+    new = time_parameterise(np.linspace(state[0], [0.4, 0.9], 30), v, a, *state[1:], start_s=t_switch)
+    origin_ns = 1_700_000_000_123_456_789
+    executed, taken = (
+        conversions.trajectory_from_message(
+            conversions.trajectory_message(("a", "b"), each, origin_ns), ("a", "b"), origin_ns
+        )
+        for each in (now, new)
+    )
+    before, after = executed.sample(taken.start_s), taken.sample(taken.start_s)
+    np.testing.assert_allclose(after[0], before[0], atol=1e-8)
+    np.testing.assert_allclose(after[1], before[1], atol=1e-7)
+    np.testing.assert_allclose(after[2], before[2], atol=1e-5)
+
+
 def test_what_a_controller_refuses_is_refused() -> None:
     def spoiled() -> object:
         return conversions.trajectory_message(("a", "b"), trajectory(), 0)
 
+    def take(message: object, now_ns: int | None = None) -> TimedTrajectory:
+        return conversions.trajectory_from_message(message, ("a", "b"), 0, now_ns)
+
     with pytest.raises(PlanningError, match="joints"):
-        conversions.trajectory_from_message(spoiled(), ("b", "a"), 0)
+        conversions.trajectory_from_message(spoiled(), ("b", "c"), 0)
     message = spoiled()
     message.points[1].time_from_start = message.points[0].time_from_start
     with pytest.raises(PlanningError, match="increasing"):
-        conversions.trajectory_from_message(message, ("a", "b"), 0)
+        take(message)
     message = spoiled()
     message.points[-1].velocities = [0.1, 0.0]
     with pytest.raises(PlanningError, match="rest"):
-        conversions.trajectory_from_message(message, ("a", "b"), 0)
+        take(message)
+    message.points[-1].velocities = [1e-8, 0.0]
+    assert not take(message).v[-1].any()
     message = spoiled()
     message.points[1].positions = [np.inf, 0.0]
     with pytest.raises(PlanningError, match="finite"):
-        conversions.trajectory_from_message(message, ("a", "b"), 0)
+        take(message)
+    message = spoiled()
+    message.points[1].velocities = []
+    with pytest.raises(PlanningError, match="per point"):
+        take(message)
     message = spoiled()
     message.points = []
     with pytest.raises(PlanningError, match="at least one"):
-        conversions.trajectory_from_message(message, ("a", "b"), 0)
+        take(message)
+    assert take(spoiled(), 750_000_000) == take(spoiled())
+    with pytest.raises(PlanningError, match="over"):
+        take(spoiled(), 750_000_001)

@@ -65,7 +65,7 @@ def test_the_first_trouble_is_where_dense_sampling_finds_it(seed: int, n_joints:
         assert clearance.min() >= padding - 1e-5
     else:
         assert max(begin, trajectory.start_s) <= trouble.at <= t[-1]
-        assert clearance[t < trouble.at].min(initial=np.inf) >= padding - 0.5 * RESOLUTION_M - 1e-5
+        assert clearance[t < trouble.at].min(initial=np.inf) >= padding - RESOLUTION_M - 1e-5
         assert trouble.clearance_m <= padding + 0.5 * RESOLUTION_M
         np.testing.assert_allclose(trouble.q, trajectory.sample(trouble.at)[0], atol=1e-9)
         here = field.distance(spheres.world_m(chain, trouble.q)) - spheres.radius_m
@@ -95,7 +95,7 @@ def test_a_path_is_checked_between_its_waypoints(seed: int, n_joints: int) -> No
     if trouble is None:
         assert clearance.min() >= checker.padding_m - 1e-5
     else:
-        assert clearance[s < trouble.at].min(initial=np.inf) >= checker.padding_m - 0.5 * RESOLUTION_M - 1e-5
+        assert clearance[s < trouble.at].min(initial=np.inf) >= checker.padding_m - RESOLUTION_M - 1e-5
         assert trouble.clearance_m <= checker.padding_m + 0.5 * checker.resolution_m
     assert checker.nearest_on_path(path).at_least_m <= clearance.min() + 1e-5
 

@@ -137,6 +137,18 @@ def test_it_stays_within_a_box_the_path_stays_in() -> None:
     assert np.abs(q).max() <= 0.5 + 1e-4
 
 
+@pytest.mark.parametrize("speed", [0.0, 1e-13, 1e-6, 0.5])
+@pytest.mark.parametrize("length", [0.0, 1e-12, 1e-8, 1e-3])
+def test_paths_that_lead_nowhere_are_followed_all_the_same(speed: float, length: float) -> None:
+    path = straight(np.zeros(7), np.full(7, length), 10)
+    trajectory = time_parameterise(path, V, A, np.full(7, speed), start_s=2.0)
+    np.testing.assert_array_equal(trajectory.q[-1], path[-1])
+    np.testing.assert_array_equal(trajectory.v[0], np.full(7, speed))
+    # There is no way to stop at once: it goes on and comes back.
+    assert trajectory.duration_s < 0.35 + 5.0 * speed
+    assert max(largest_use(trajectory)) <= 1.0 + LIMIT_TOLERANCE
+
+
 def test_the_start_time_only_shifts() -> None:
     path = straight(np.zeros(7), np.full(7, 1.0), 50)
     early, late = time_parameterise(path, V, A), time_parameterise(path, V, A, start_s=100.0)
