@@ -55,7 +55,7 @@ def top_view_plot(
     for name, place in workcell.goal_places().items():
         paths.plot(
             place[0], place[1], marker="X", markersize=10, color=colours.get(name, INK), markeredgecolor="white",
-            linestyle="none", label=f"goal {name}",
+            linestyle="none", label=f"goal {name}{_of_several(len(workcell.goal_sets[name]))}",
         )  # fmt: skip
     paths.plot([], [], marker="o", color=MUTED, linestyle="none", label="start")
     paths.plot([], [], marker="s", color=MUTED, linestyle="none", label="end")
@@ -68,6 +68,10 @@ def top_view_plot(
     paths.set_ylabel("y in m")
     figure.legend(*paths.get_legend_handles_labels(), loc="outside lower center", ncol=7, columnspacing=1.6)
     return figure
+
+
+def _of_several(n_configurations: int) -> str:
+    return f" (preferred of {n_configurations})" if n_configurations > 1 else ""
 
 
 def snapshots_plot(run: Run, summary: RunSummary, workcell: Workcell, colours: Mapping[str, str]) -> Figure:
