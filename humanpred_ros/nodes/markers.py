@@ -38,6 +38,11 @@ def _marker(kind: int, namespace: str, frame_id: str, stamp: Time, width_m: floa
     return marker
 
 
+def _only_these() -> MarkerArray:
+    """Return an array whose first marker removes those shown before: not every step has a path to every goal."""
+    return MarkerArray(markers=[Marker(action=Marker.DELETEALL)])
+
+
 def skeleton_markers(points: Mapping[str, FloatArray], frame_id: str, stamp: Time) -> MarkerArray:
     """Return the bones between the named points (3,) that are known."""
     marker = _marker(Marker.LINE_LIST, "skeleton", frame_id, stamp, 0.03, ColorRGBA(r=0.9, g=0.6, b=0.3, a=1.0))
@@ -61,7 +66,7 @@ def occupancy_markers(occupancy: Occupancy, stamp: Time) -> MarkerArray:
 
 def candidate_markers(paths: Sequence[tuple[str, FloatArray, bool]], stamp: Time) -> MarkerArray:
     """Return one line per candidate: (goal name, tool positions (N, 3) in the world, chosen)."""
-    array = MarkerArray()
+    array = _only_these()
     for name, positions, chosen in paths:
         colour = ColorRGBA(r=0.1, g=0.8, b=0.2, a=1.0) if chosen else ColorRGBA(r=0.6, g=0.6, b=0.6, a=0.8)
         marker = _marker(Marker.LINE_STRIP, f"candidate/{name}", "world", stamp, 0.012, colour)
@@ -72,7 +77,7 @@ def candidate_markers(paths: Sequence[tuple[str, FloatArray, bool]], stamp: Time
 
 def rollout_markers(rollouts: Sequence[tuple[str, Sequence[FloatArray]]], stamp: Time) -> MarkerArray:
     """Return the noisy paths STOMP compared for each goal: (goal name, tool positions (N, 3) of each rollout)."""
-    array = MarkerArray()
+    array = _only_these()
     for name, paths in rollouts:
         colour = ColorRGBA(r=0.3, g=0.5, b=0.9, a=0.4)
         marker = _marker(Marker.LINE_LIST, f"rollouts/{name}", "world", stamp, 0.003, colour)

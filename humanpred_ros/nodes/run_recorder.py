@@ -60,6 +60,7 @@ class RunRecorder(GraphNode):
                 (topics.human_markers(body), MarkerArray, qos.LOSSLESS),
                 (topics.OCCUPANCY_MARKERS, MarkerArray, qos.LOSSLESS),
                 (topics.CANDIDATES, MarkerArray, qos.LOSSLESS),
+                (topics.ROLLOUTS, MarkerArray, qos.LOSSLESS),
             ]
         self.wanted = [topic for topic in settings.wait_for.replace("<id>", body).split(",") if topic]
         unknown = [topic for topic in self.wanted if topic not in {name for name, _, _ in recorded}]

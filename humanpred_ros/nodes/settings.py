@@ -107,7 +107,7 @@ class StompPlannerSettings:
     listener: str = setting("", "node that must be listening to the decisions before this one is ready")
     max_human_age_s: float = setting(0.5, "older human occupancy leads to a hold", 0.02, 60.0)
     stomp_share: float = setting(
-        0.45, "share of a step after which STOMP must stop in real time; the rest is for checks and sending", 0.05, 0.95
+        0.4, "share of a step after which STOMP must stop in real time; the rest is for checks and sending", 0.05, 0.95
     )
     lossless: bool = setting(False, "subscribe reliably and keep every occupancy (stepped runs)")
 

@@ -222,7 +222,7 @@ class MultiGoalReplanner:
             return replace(self.hold(now_s, imminent), stamp_s=occupancy.t_s)
         if not (self.due(occupancy.t_s) or self._endangered(person, occupancy.t_s)):
             return self.keep(occupancy)
-        decision = self.plan(occupancy, deadline)
+        decision = self._planned(occupancy, person, deadline)
         if now is not None and decision.trajectory is not None and now() >= decision.t_switch_s:
             return self.missed(decision)
         self.commit(decision)
@@ -240,29 +240,8 @@ class MultiGoalReplanner:
             PlanningError: before `start`, for an occupancy older than the last one committed, or one of another
                 lattice than the replanner was made for.
         """
-        began = time.perf_counter()
-        schedule = self._check(occupancy)
-        t_switch = occupancy.t_s + self.config.period_s
-        situation = Situation(
-            step=self._step,
-            stamp_s=occupancy.t_s,
-            t_switch_s=t_switch,
-            goals=self._goals,
-            task_costs=self._task_costs,
-            paths=self._paths,
-            set_aside=self._set_aside,
-            left=self._left,
-            chosen=self._chosen,
-            leads_to=self._leads_to,
-            arrived=self._at_goal(t_switch),
-            executing=schedule.at(t_switch),
-            held=bool(self._held),
-            noise_std=self._noise_std,
-        )
-        step = ReplanningStep(self._tools, situation, occupancy, deadline)
-        decision = step.decide()
-        self.rollouts = step.rollouts() if self.keep_rollouts else {}
-        return replace(decision, compute_s=time.perf_counter() - began)
+        self._check(occupancy)
+        return self._planned(occupancy, self._tools.person(occupancy), deadline)
 
     def commit(self, decision: Decision) -> None:
         """Make a decision of `plan` so: its trajectory is executed from its switch time on.
@@ -366,6 +345,31 @@ class MultiGoalReplanner:
         """End the threads; the replanner cannot plan any more."""
         if self._tools.pool is not None:
             self._tools.pool.shutdown()
+
+    def _planned(self, occupancy: Occupancy, person: Person, deadline: Callable[[], bool] | None) -> Decision:
+        began = time.perf_counter()
+        schedule = self._started()
+        t_switch = occupancy.t_s + self.config.period_s
+        situation = Situation(
+            step=self._step,
+            stamp_s=occupancy.t_s,
+            t_switch_s=t_switch,
+            goals=self._goals,
+            task_costs=self._task_costs,
+            paths=self._paths,
+            set_aside=self._set_aside,
+            left=self._left,
+            chosen=self._chosen,
+            leads_to=self._leads_to,
+            arrived=self._at_goal(t_switch),
+            executing=schedule.at(t_switch),
+            held=bool(self._held),
+            noise_std=self._noise_std,
+        )
+        step = ReplanningStep(self._tools, situation, person, deadline)
+        decision = step.decide()
+        self.rollouts = step.rollouts() if self.keep_rollouts else {}
+        return replace(decision, compute_s=time.perf_counter() - began)
 
     def _started(self) -> Schedule:
         if self._schedule is None:

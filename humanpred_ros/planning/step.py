@@ -12,10 +12,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from humanpred_ros.checks import FloatArray
-from humanpred_ros.occupancy.grid import Occupancy
 from humanpred_ros.planning.candidates import Candidate, Candidates, with_reason
 from humanpred_ros.planning.decision import ARRIVED, EVADE, HOLD, KEEP, REPLAN, Decision, GoalReport
 from humanpred_ros.planning.evasion import ways_aside
+from humanpred_ros.planning.person import Person
 from humanpred_ros.planning.situation import Situation, Tools
 from humanpred_ros.planning.stomp import Float32Array
 from humanpred_ros.planning.stopping import brake_along
@@ -33,11 +33,11 @@ class ReplanningStep:
     """Plans for one situation; makes a decision and changes nothing."""
 
     def __init__(
-        self, tools: Tools, situation: Situation, occupancy: Occupancy, deadline: Callable[[], bool] | None = None
+        self, tools: Tools, situation: Situation, person: Person, deadline: Callable[[], bool] | None = None
     ) -> None:
         self._tools, self._now, self._deadline = tools, situation, deadline
-        self._planner, self._human = tools.planner(occupancy)
-        self._person = tools.person(occupancy)
+        self._planner, self._human = tools.planner(person.occupancy)
+        self._person = person
         self._q, self._v, self._a = situation.executing.sample(situation.t_switch_s)
         self._candidates = Candidates(tools, situation, self._q, self._person, self._planner, self._human)
 

@@ -21,6 +21,7 @@ MUTED = "#7b8794"
 GRID = "#e4e7eb"
 WASH = "#f7f8fa"
 ALARM = "#b42318"
+CAUTION = "#b7791f"
 
 #: Hues for goals that are named after a colour: a reader expects the red cup to be red.
 _NAMED = {

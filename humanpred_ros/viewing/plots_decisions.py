@@ -14,6 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.viewing.figures import (
     ALARM,
+    CAUTION,
     DASHES,
     INK,
     MARKERS,
@@ -25,13 +26,19 @@ from humanpred_ros.viewing.figures import (
     new_figure,
 )
 from humanpred_ros.viewing.run import Run
-from humanpred_ros.viewing.run_summary import RunSummary
+from humanpred_ros.viewing.run_summary import RunSummary, StepRow
 from humanpred_ros.viewing.time_axis import mark_events
 
 #: Classes that never reach this probability share the legend's last entry.
 _NEVER_LIKELY = 0.05
 #: Below the smallest positive cost by this factor a logarithmic axis turns linear, to show zeros.
 _LINEAR_BELOW = 2.0
+#: Steps in which the arm is not sent to a goal: colour, how strong, and what the legend says.
+_SHADED = {
+    "missed": (ALARM, 0.10, "step missed"),
+    "hold": (INK, 0.12, "arm stops"),
+    "evade": (CAUTION, 0.18, "arm moves aside"),
+}
 
 
 def posterior_plot(run: Run, summary: RunSummary, colours: Mapping[str, str]) -> Figure:
@@ -78,14 +85,19 @@ def goal_costs_plot(run: Run, summary: RunSummary, colours: Mapping[str, str]) -
     for k, (goal, cost) in enumerate(costs.items()):
         style = {"color": colours[goal], "linestyle": DASHES[k % len(DASHES)]}
         axes.plot(number, cost, marker=MARKERS[k % len(MARKERS)], markersize=4.5, label=goal, **style)
-        chosen = np.array([row.chosen == goal and not row.missed for row in summary.steps])
+        chosen = np.array([row.chosen == goal and row.working for row in summary.steps])
         axes.plot(
             number[chosen], cost[chosen], marker="o", markersize=11, linestyle="none",
             markerfacecolor="none", markeredgecolor=colours[goal], markeredgewidth=1.4,
         )  # fmt: skip
         for step, decision in zip(number, run.steps, strict=True):
             plan = next((plan for plan in decision.goals if plan.name == goal), None)
-            if plan is not None and not plan.valid:
+            if plan is not None and plan.set_aside and np.isfinite(plan.selection_cost):
+                axes.plot(
+                    [step], [plan.selection_cost], marker=MARKERS[k % len(MARKERS)], markersize=4.5, zorder=3,
+                    markerfacecolor="white", markeredgecolor=colours[goal],
+                )  # fmt: skip
+            elif plan is not None and not plan.valid:
                 priced = np.isfinite(plan.selection_cost)  # without a cost the mark goes to the upper edge
                 axes.plot(
                     [step], [plan.selection_cost if priced else 0.97 - 0.06 * k], marker="x", color=ALARM, markersize=9,
@@ -98,16 +110,22 @@ def goal_costs_plot(run: Run, summary: RunSummary, colours: Mapping[str, str]) -
             ha="center", va="bottom", fontsize=8, color=colours.get(switch.goal_after, INK),
         )  # fmt: skip
     for row in summary.steps:
-        if row.missed:
-            axes.axvspan(row.step - 0.5, row.step + 0.5, color=ALARM, alpha=0.10, linewidth=0)
+        if row.action in _SHADED:
+            colour, strength, _ = _SHADED[row.action]
+            axes.axvspan(row.step - 0.5, row.step + 0.5, color=colour, alpha=strength, linewidth=0)
     axes.set_ylabel("selection cost")
     _step_axis(axes, summary)
     handles, _ = axes.get_legend_handles_labels()
     handles.append(_key(marker="o", markersize=9, markerfacecolor="none", color=MUTED, label="chosen"))
-    if any(not plan.valid for decision in run.steps for plan in decision.goals):
+    plans = [plan for decision in run.steps for plan in decision.goals]
+    if any(plan.set_aside for plan in plans):
+        handles.append(_key(marker="o", markersize=4.5, markerfacecolor="white", color=MUTED, label="set aside"))
+    if any(not plan.eligible and not plan.set_aside for plan in plans):
         handles.append(_key(marker="x", markersize=8, markeredgewidth=1.8, color=ALARM, label="plan invalid"))
-    if summary.missed:
-        handles.append(_key(marker="s", markersize=9, color="#f6dcd9", label="step missed"))
+    actions = {row.action for row in summary.steps}
+    for action, (colour, strength, text) in _SHADED.items():
+        if action in actions:
+            handles.append(_key(marker="s", markersize=9, color=colour, alpha=2.0 * strength, label=text))
     axes.legend(handles=handles, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 
@@ -177,11 +195,18 @@ def _step_axis(axes: Axes, summary: RunSummary) -> None:
         )  # fmt: skip
 
 
+def _doing(row: StepRow) -> tuple[str, str]:
+    """Return the goal worked on, or what the arm did instead; a missed step leaves it at what it did."""
+    return (row.chosen, "") if row.working or row.missed else ("", row.action)
+
+
 def _goal_strip(axes: Axes, summary: RunSummary, colours: Mapping[str, str]) -> None:
     """Draw which goal was chosen as a strip of colour along the top."""
-    for goal, stretch in groupby(summary.steps, key=lambda row: row.chosen):
+    for (goal, what), stretch in groupby(summary.steps, key=_doing):
         steps = [row.step for row in stretch]
-        if goal not in colours:
+        if what:
+            axes.axvspan(steps[0] - 0.5, steps[-1] + 0.5, 1.0, 1.03, color=_SHADED[what][0], linewidth=0, clip_on=False)
+        if what or goal not in colours:
             continue
         axes.axvspan(steps[0] - 0.5, steps[-1] + 0.5, 1.0, 1.03, color=colours[goal], linewidth=0, clip_on=False)
         axes.annotate(

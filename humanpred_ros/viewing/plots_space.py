@@ -29,6 +29,8 @@ _PROBABILITY = LinearSegmentedColormap.from_list("probability", ["#fdf3e1", "#f0
 _MARGIN_M = 0.12
 #: Pictures of what was predicted: first, decisive, last.
 _N_SNAPSHOTS = 3
+#: What the arm does in a step that sends it to no goal.
+_WITHOUT_GOAL = {"hold": "the arm stops", "evade": "the arm moves aside"}
 
 
 def top_view_plot(
@@ -119,7 +121,7 @@ def _decisive(run: Run, summary: RunSummary) -> list[tuple[OccupancySnapshot, st
         row = steps[snapshots[k].t_s]
         share = "" if row.percent is None else f", {row.percent:.0f} % of the reach"
         verb = "switch to" if row.step in switched else "chosen:"
-        verdict = f"{verb} {row.chosen}" if row.chosen else "nothing chosen"
+        verdict = _WITHOUT_GOAL.get(row.action, f"{verb} {row.chosen}" if row.chosen else "nothing chosen")
         titles.append((snapshots[k], f"step {row.step}{share}\n{verdict}"))
     return titles
 

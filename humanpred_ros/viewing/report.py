@@ -19,9 +19,10 @@ from humanpred_ros.viewing.clearance import measure_clearance
 from humanpred_ros.viewing.figures import goal_colours, report_style, svg_of
 from humanpred_ros.viewing.plots import draw_plots
 from humanpred_ros.viewing.plots_reliability import reliability_plot
+from humanpred_ros.viewing.goal_columns import told_of_goals
 from humanpred_ros.viewing.reliability import MOVING
 from humanpred_ros.viewing.run import Run
-from humanpred_ros.viewing.run_summary import Belief, LatencyFigures, OccupancyCalibration, RunSummary
+from humanpred_ros.viewing.run_summary import Belief, Interruption, LatencyFigures, OccupancyCalibration, RunSummary
 from humanpred_ros.viewing.workcell import load_workcell
 
 _TEMPLATES = Path(__file__).resolve().parent / "templates"
@@ -91,8 +92,8 @@ def render_report(run: Run, summary: RunSummary) -> str:
         reliability=Markup(reliability),
         calibration=_calibration_rows(summary),
         decisions=list(zip(summary.steps, run.steps, strict=True)),
-        reasons=any(step.reason for step in run.steps),
-        terms=tuple(dict.fromkeys(name for step in run.steps for goal in step.goals for name in goal.terms)),
+        told=told_of_goals(run),
+        interruptions=_interruptions(summary),
         colours=goal_colours(dict.fromkeys([*workcell.goals, *summary.goals])),
         recorded=_recorded(run),
         command=reproduce_command(run),
@@ -229,9 +230,21 @@ def _calibration_rows(summary: RunSummary) -> list[tuple[str, list[str]]]:
 
 
 def _steps_figure(summary: RunSummary) -> KeyFigure:
-    holds = f"{len(summary.holds)} hold{'s' if len(summary.holds) != 1 else ''}" if summary.holds else "no hold"
+    remark = f"{len(summary.holds)} hold{'s' if len(summary.holds) != 1 else ''}" if summary.holds else "no hold"
+    if summary.evasions:
+        remark += f"; moved out of the person's way {_times(len(summary.evasions))}"
     value = f"{summary.missed} of {len(summary.steps)} missed" if summary.missed else str(len(summary.steps))
-    return KeyFigure("replanning steps", value, holds, alarming=bool(summary.missed or summary.holds))
+    return KeyFigure("replanning steps", value, remark, alarming=bool(summary.missed or summary.holds))
+
+
+def _interruptions(summary: RunSummary) -> list[tuple[str, Interruption]]:
+    """Return when the arm worked on no goal, with what it did instead, in time order."""
+    both = [("stops", hold) for hold in summary.holds] + [("moves aside", evasion) for evasion in summary.evasions]
+    return sorted(both, key=lambda entry: entry[1].t_s)
+
+
+def _times(count: int) -> str:
+    return {1: "once", 2: "twice"}.get(count, f"{count} times")
 
 
 def _latency_figure(name: str, latency: LatencyFigures) -> KeyFigure:

@@ -37,6 +37,8 @@ POSTURE_TO_TRAJECTORY = "posture to trajectory"
 
 #: A reach seen up to here was seen whole: stamps of the last posture may round down.
 WHOLE_REACH_PERCENT = 99.0
+#: Actions that send a trajectory computed on the posture they answer.
+_SENDING = ("replan", "evade")
 #: Occupancies kept for comparison with what happened: while the human moves, and at rest afterwards.
 _SAMPLES_MOVING, _SAMPLES_AT_REST = 60, 20
 #: The arm's joints that turn without end.
@@ -272,7 +274,7 @@ def _answers(sent: list[Entry], decided: list[Entry]) -> dict[int, int]:
     times = np.array([entry.sent_ns for entry in order], dtype=np.int64)
     for trajectory in sent:
         k = int(np.searchsorted(times, trajectory.sent_ns))
-        if k < len(order) and order[k].message.status and order[k].message.status[0].message == "replan":
+        if k < len(order) and order[k].message.status and order[k].message.status[0].message in _SENDING:
             answers[order[k].stamp_ns] = trajectory.sent_ns
     return answers
 

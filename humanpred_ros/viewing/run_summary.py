@@ -6,7 +6,7 @@ import dataclasses
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 
@@ -16,13 +16,18 @@ class StepRow:
 
     Attributes:
         step: its number, the planner's.
-        action: replan, keep (no better path was found), hold (no way was found) or missed (too late).
+        action: replan, keep (no better path was found), hold (no way was found), evade (out of the person's way) or
+            missed (too late).
         t_s, percent: data time of the occupancy it was computed on; share of the human's motion over by then.
         best_class, best_probability: most probable class then, None without a posterior.
         costs: selection cost per goal, None where it has none.
         chosen: the chosen goal, empty if none.
         switched: the chosen goal differs from the previous step's.
         compute_ms: wall time the step took, None if not told.
+        margin: by how much the chosen goal was cheaper than the next one, negative where habit decided; None if there
+            was no choice.
+        reason: the planner's explanation.
+        out: why goals were out of the question, by name.
     """
 
     step: int
@@ -35,11 +40,19 @@ class StepRow:
     chosen: str
     switched: bool
     compute_ms: float | None
+    margin: float | None = None
+    reason: str = ""
+    out: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def missed(self) -> bool:
         """Whether it came too late to be carried out."""
         return self.action == "missed"
+
+    @property
+    def working(self) -> bool:
+        """Whether the arm worked on the chosen goal then: it does not while it stops or moves aside."""
+        return self.action in ("replan", "keep")
 
 
 @dataclass(frozen=True)
@@ -52,6 +65,7 @@ class Switch:
         t_s, percent: data time of the decision; share of the human's motion over by then.
         t_effect_s: when the new trajectory takes over, None if not told.
         goal_before, goal_after: names.
+        reason: the planner's explanation.
     """
 
     step: int
@@ -61,11 +75,15 @@ class Switch:
     t_effect_s: float | None
     goal_before: str
     goal_after: str
+    reason: str = ""
 
 
 @dataclass(frozen=True)
-class Hold:
-    """A stop for one reason: from when until the arm was sent on or the run ended, and how often it was decided."""
+class Interruption:
+    """A time in which the arm works on no goal, for one reason: it stops, or moves out of the person's way.
+
+    It lasts until the arm is sent on or another way, or the run ends; `decisions` says how often it was decided.
+    """
 
     t_s: float
     until_s: float
@@ -200,7 +218,9 @@ class RunSummary:
         facts: what the recorder was told about the run.
         duration_s: data time; `wall_s` wall time; `motion_duration_s` the human's motion.
         goals: names of the goals, in the planner's order.
-        steps, switches, holds: see their types.
+        steps, switches: see their types.
+        holds, evasions: when the arm stopped, and when it moved out of the person's way.
+        actions: how many decisions were to do what, by action.
         missed: number of replanning steps that came too late.
         closest: over the whole run, None if it could not be evaluated.
         recognised: how early the human's motion was recognised, None if its true class is not known.
@@ -222,7 +242,7 @@ class RunSummary:
     goals: tuple[str, ...]
     steps: tuple[StepRow, ...]
     switches: tuple[Switch, ...]
-    holds: tuple[Hold, ...]
+    holds: tuple[Interruption, ...]
     missed: int
     closest: Closest | None
     recognised: Recognised | None
@@ -233,6 +253,8 @@ class RunSummary:
     reached: Reached | None
     peak_velocity: float | None
     counts: Mapping[str, int]
+    evasions: tuple[Interruption, ...] = ()
+    actions: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     def to_json(self) -> str:

@@ -109,6 +109,7 @@ def decision_of(message: Any, t_s: float, t_first_occupancy_s: float) -> Recorde
             reason=values.get("reason", ""),
             t_switch_s=t_first_occupancy_s + _number(values, "t_switch_s"),
             compute_s=1e-3 * _number(values, "compute_ms"),
+            margin=_number(values, "margin"),
             goals=tuple(_goal(status) for status in others),
         )
     except ValueError as trouble:
@@ -138,6 +139,11 @@ def _goal(status: Any) -> GoalPlan:
         human=_number(values, "human"),
         length=_number(values, "length"),
         warm_start=values.get("warm_start", ""),
+        rest=_number(values, "rest"),
+        task_cost=_number(values, "task_cost"),
+        alternative=int(values.get("alternative", "0")),
+        set_aside=values.get("set_aside", ""),
+        revived=values.get("revived", "").lower() == "true",
         terms={key.removeprefix("cost/"): float(text) for key, text in values.items() if key.startswith("cost/")},
     )
 

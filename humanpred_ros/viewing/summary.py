@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
+from collections import Counter
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from humanpred_ros.viewing.run import WHOLE_REACH_PERCENT, Run
 from humanpred_ros.viewing.run_summary import (
     Belief,
     Closest,
-    Hold,
+    Interruption,
     LatencyFigures,
     Reached,
     Recognised,
@@ -29,6 +30,8 @@ from humanpred_ros.viewing.workcell import Workcell, load_workcell
 
 #: Largest joint error at which a goal counts as reached.
 GOAL_TOLERANCE_RAD = 0.02
+#: Actions that end a hold or an evasion, as far as they are not the same again.
+_SENT_ON = ("replan", "arrived", "hold", "evade")
 #: Stamps of the last posture of the reach may round up.
 _STAMP_TOLERANCE_S = 1e-6
 
@@ -55,7 +58,9 @@ def summarise(run: Run, workcell: Workcell | None = None, clearance: Clearance |
         goals=run.goal_names,
         steps=steps,
         switches=_switches(run, steps),
-        holds=_holds(run),
+        holds=_interruptions(run, "hold"),
+        evasions=_interruptions(run, "evade"),
+        actions=dict(Counter(decision.action for decision in run.decisions)),
         missed=sum(step.missed for step in steps),
         closest=_closest(run, clearance),
         recognised=_recognised(run),
@@ -92,6 +97,9 @@ def _steps(run: Run) -> tuple[StepRow, ...]:
                 chosen=decision.chosen,
                 switched=decision.switched,
                 compute_ms=_finite(1e3 * decision.compute_s),
+                margin=_finite(decision.margin),
+                reason=decision.reason,
+                out={goal.name: goal.set_aside or goal.message for goal in decision.goals if not goal.eligible},
             )
         )
     return tuple(rows)
@@ -107,6 +115,7 @@ def _switches(run: Run, steps: tuple[StepRow, ...]) -> tuple[Switch, ...]:
             t_effect_s=_finite(decision.t_switch_s),
             goal_before=decision.previous,
             goal_after=decision.chosen,
+            reason=decision.reason,
         )
         # A missed step is not carried out: the robot stays with the goal it had.
         for row, decision in zip(steps, run.steps, strict=True)
@@ -114,30 +123,30 @@ def _switches(run: Run, steps: tuple[StepRow, ...]) -> tuple[Switch, ...]:
     )
 
 
-def _holds(run: Run) -> tuple[Hold, ...]:
-    """Return the stops: each lasts until a new plan takes effect, another trouble stops the arm, or the run ends."""
-    holds: list[Hold] = []
+def _interruptions(run: Run, action: str) -> tuple[Interruption, ...]:
+    """Return when the arm held or evaded: until it was sent on or sent another way, or for another trouble."""
+    found: list[Interruption] = []
     open_kind: str | None = None
 
     def close(t_s: float) -> None:
         if open_kind is not None:
-            holds[-1] = dataclasses.replace(holds[-1], until_s=max(holds[-1].t_s, t_s))
+            found[-1] = dataclasses.replace(found[-1], until_s=max(found[-1].t_s, t_s))
 
     for decision in run.decisions:
-        if decision.action == "hold":
-            # Ages and counts inside a reason differ from one hold to the next; its first part names the trouble.
-            kind = decision.reason.split(":", 1)[0]
+        if decision.action == action:
+            # Ages, distances and goals inside a reason differ from one to the next; its first words name the trouble.
+            kind = re.split(r"[:;(]", decision.reason, maxsplit=1)[0].strip()
             if kind == open_kind:
-                holds[-1] = dataclasses.replace(holds[-1], decisions=holds[-1].decisions + 1)
+                found[-1] = dataclasses.replace(found[-1], decisions=found[-1].decisions + 1)
             else:
                 close(decision.begins_s)
-                holds.append(Hold(decision.begins_s, decision.begins_s, 1, decision.reason))
+                found.append(Interruption(decision.begins_s, decision.begins_s, 1, decision.reason))
                 open_kind = kind
-        elif decision.action in ("replan", "arrived"):
+        elif decision.action in _SENT_ON:
             close(decision.begins_s)
             open_kind = None
     close(run.duration_s)
-    return tuple(holds)
+    return tuple(found)
 
 
 def _closest(run: Run, clearance: Clearance) -> Closest | None:
@@ -206,8 +215,8 @@ def _reached(robot: RobotTrack, workcell: Workcell) -> Reached | None:
     """Return the goal the arm has stayed at until the end; full turns of endless joints do not count."""
     if workcell.arm is None or not len(robot):
         return None
-    for name, goal in workcell.goals.items():
-        error = np.abs(workcell.arm.difference(robot.q, goal)).max(axis=1)
+    for name, configurations in workcell.goal_sets.items():
+        error = np.min([np.abs(workcell.arm.difference(robot.q, q)).max(axis=1) for q in configurations], axis=0)
         if error[-1] <= GOAL_TOLERANCE_RAD:
             away = np.flatnonzero(error > GOAL_TOLERANCE_RAD)
             since = int(away[-1]) + 1 if len(away) else 0
@@ -228,6 +237,8 @@ def _outcome(run: Run, reached: Reached | None) -> str:
         return f"The arm reached the goal {reached.goal} after {reached.t_s:.2f} s."
     if run.decisions and run.decisions[-1].action == "hold":
         return f"The run ended in a hold: {run.decisions[-1].reason}."
+    if run.decisions and run.decisions[-1].action == "evade":
+        return f"The run ended while the arm moved out of the person's way: {run.decisions[-1].reason}."
     if not run.decisions:
         return "The planner made no decision."
     if any(decision.action == "arrived" for decision in run.decisions):

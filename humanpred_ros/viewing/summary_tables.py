@@ -24,6 +24,8 @@ def print_summary(summary: RunSummary, console: Console) -> None:
     """Print the replanning steps and the key figures of a run."""
     if summary.steps:
         console.print(_steps_table(summary))
+    if any(row.out for row in summary.steps):
+        console.print("[dim]× out of the question in this step: the report says why[/dim]\n")
     console.print(_figures_table(summary))
     for note in summary.notes:
         console.print(f"[yellow]note[/yellow]  {escape(note)}")
@@ -31,12 +33,12 @@ def print_summary(summary: RunSummary, console: Console) -> None:
 
 
 def _steps_table(summary: RunSummary) -> Table:
-    table = Table(title="replanning steps and the cost of every goal", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = Table(title="replanning steps and the cost of every goal", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
     table.title_justify = "left"
-    for name in ("step", "t in s", "reach", "class", "p"):
+    for name in ("step", "t in\ns", "reach", "class\np"):
         table.add_column(name, justify="right")
     for goal in summary.goals:
-        table.add_column(escape(goal), justify="right", min_width=6)
+        table.add_column(escape(goal), justify="right", min_width=7)
     table.add_column("chosen", no_wrap=True)
     table.add_column("ms", justify="right", min_width=4)
     for row in summary.steps:
@@ -44,9 +46,8 @@ def _steps_table(summary: RunSummary) -> Table:
             str(row.step),
             f"{row.t_s:.2f}",
             _text(row.percent, ".0f", " %"),
-            "–" if row.best_class is None else str(row.best_class),
-            _text(row.best_probability, ".2f"),
-            *(_text(row.costs.get(goal), ".4f") for goal in summary.goals),
+            "–" if row.best_class is None else f"{row.best_class} {_text(row.best_probability, '.2f')}",
+            *(_text(row.costs.get(goal), ".4f") + ("×" if goal in row.out else " ") for goal in summary.goals),
             _chosen(row),
             _text(row.compute_ms, ".0f"),
         ]
@@ -63,7 +64,8 @@ def _figures_table(summary: RunSummary) -> Table:
         table.add_row(
             "switch",
             f"step {switch.step} ({switch.t_s:.2f} s{share}): {escape(switch.goal_before)} to "
-            f"{escape(switch.goal_after)}, in effect in step {switch.step_in_effect}",
+            f"{escape(switch.goal_after)}, in effect in step {switch.step_in_effect}"
+            + (f"; {escape(switch.reason)}" if switch.reason else ""),
         )
     if not summary.switches:
         table.add_row("switch", "none")
@@ -86,6 +88,8 @@ def _figures_table(summary: RunSummary) -> Table:
     table.add_row("missed steps", f"{summary.missed} of {len(summary.steps)}")
     for hold in summary.holds:
         table.add_row("hold", f"{hold.t_s:.2f} to {hold.until_s:.2f} s: {escape(hold.reason)}")
+    for evasion in summary.evasions:
+        table.add_row("moves aside", f"{evasion.t_s:.2f} to {evasion.until_s:.2f} s: {escape(evasion.reason)}")
     if summary.peak_velocity is not None:
         table.add_row("fastest joint", f"{100.0 * summary.peak_velocity:.0f} % of its velocity limit")
     table.add_row("duration", f"{summary.duration_s:.2f} s of data, {summary.wall_s:.1f} s of wall time")
@@ -128,7 +132,7 @@ def _latency(latency: LatencyFigures) -> str:
 
 def _chosen(row: StepRow) -> str:
     """Return the goal with what is special about the step, short enough for a terminal of 80 columns."""
-    if row.action in ("missed", "hold"):
+    if row.action in ("missed", "hold", "evade"):
         return row.action
     return ("→ " if row.switched else "") + escape(row.chosen)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from matplotlib.axes import Axes
 
-from humanpred_ros.viewing.figures import ALARM, INK, MUTED
+from humanpred_ros.viewing.figures import ALARM, CAUTION, INK, MUTED
 from humanpred_ros.viewing.run import Run
 from humanpred_ros.viewing.run_summary import RunSummary
 
@@ -24,7 +24,7 @@ def set_time_limits(axes: Axes, run: Run) -> None:
 def mark_events(
     axes: Axes, run: Run, summary: RunSummary, colours: Mapping[str, str], *, labels: bool = True, xlabel: bool = True
 ) -> None:
-    """Mark the end of the human's motion, switches taking effect, holds and arrival; set the time limits."""
+    """Mark the end of the human's motion, switches taking effect, holds, evasions and arrival; set the time limits."""
     set_time_limits(axes, run)
     if xlabel:
         axes.set_xlabel("time since the first posture in s")
@@ -37,10 +37,13 @@ def mark_events(
     if summary.reached is not None:
         goal = summary.reached.goal
         events.append((summary.reached.t_s, f"arm at {goal}", colours.get(goal, INK), (0, (4, 2))))
-    for hold in summary.holds:
-        until_s = max(hold.until_s, hold.t_s + 0.004 * run.duration_s)  # a single hold must be seen, too
-        axes.axvspan(hold.t_s, until_s, color=ALARM, alpha=0.15, linewidth=0)
-        events.append((hold.t_s, "hold", ALARM, "-"))
+    interruptions = [(hold, "hold", ALARM) for hold in summary.holds]
+    interruptions += [(evasion, "arm moves aside", CAUTION) for evasion in summary.evasions]
+    for interruption, text, colour in interruptions:
+        # A single one must be seen, too.
+        until_s = max(interruption.until_s, interruption.t_s + 0.004 * run.duration_s)
+        axes.axvspan(interruption.t_s, until_s, color=colour, alpha=0.15, linewidth=0)
+        events.append((interruption.t_s, text, colour, "-"))
     right_end, level = -1.0, 0
     for t_s, text, colour, dashes in sorted(events, key=lambda event: event[0]):
         axes.axvline(t_s, color=colour, linewidth=1.1, linestyle=dashes, zorder=1)

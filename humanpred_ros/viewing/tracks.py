@@ -133,13 +133,18 @@ class GoalPlan:
     Attributes:
         name: the goal.
         valid: whether the plan can be executed.
-        message: "chosen", "candidate", or why it is invalid.
+        message: "chosen", "candidate", or why it was out of the question.
         selection_cost: what goals are compared by; NaN if there is none.
         iterations: STOMP iterations done.
         terms: STOMP's cost terms by name.
         human: human occupancy integrated over the path; NaN if not told.
         length: of the path, in configuration distance; NaN if not told.
         warm_start: where the first path came from; empty if not told.
+        rest: human occupancy where the arm would stay; NaN if not told.
+        task_cost: of the goal itself; NaN if not told.
+        alternative: which of the goal's configurations the plan leads to, from 0.
+        set_aside: why the goal was not considered whatever its plan costs; empty if it was.
+        revived: it was set aside in the step before.
     """
 
     name: str
@@ -151,6 +156,16 @@ class GoalPlan:
     human: float = float("nan")
     length: float = float("nan")
     warm_start: str = ""
+    rest: float = float("nan")
+    task_cost: float = float("nan")
+    alternative: int = 0
+    set_aside: str = ""
+    revived: bool = False
+
+    @property
+    def eligible(self) -> bool:
+        """Whether the goal could have been chosen."""
+        return self.valid and not self.set_aside
 
 
 @dataclass(frozen=True)
@@ -159,7 +174,7 @@ class RecordedDecision:
 
     Attributes:
         t_s: stamp of the occupancy.
-        action: replan, keep, hold, missed or arrived.
+        action: replan, keep, hold, evade, missed or arrived.
         step: the planner's number of the replanning step, from 1; -1 where none was computed.
         chosen, previous: goal names, empty if none.
         switched: the chosen goal differs from the previous one.
@@ -167,6 +182,7 @@ class RecordedDecision:
         t_switch_s: when the trajectory takes over, NaN if none.
         compute_s: wall time from receiving the occupancy to deciding, NaN if not told.
         goals: what was found for each goal, where a replanning step was computed.
+        margin: by how much the chosen goal was cheaper than the next one; NaN if there was none, or it was not told.
     """
 
     t_s: float
@@ -179,6 +195,7 @@ class RecordedDecision:
     t_switch_s: float
     compute_s: float
     goals: tuple[GoalPlan, ...] = ()
+    margin: float = float("nan")
 
     @property
     def is_step(self) -> bool:

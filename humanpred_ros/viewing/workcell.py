@@ -48,8 +48,13 @@ class Workcell:
 
     @cached_property
     def goals(self) -> Mapping[str, FloatArray]:
-        """Goal configurations (7,) by name."""
+        """Preferred goal configurations (7,) by name."""
         return {} if self.scene is None else {goal.name: goal.configuration for goal in self.scene.goals}
+
+    @cached_property
+    def goal_sets(self) -> Mapping[str, FloatArray]:
+        """All configurations (K, 7) in which a goal is reached, by name, the preferred one first."""
+        return {} if self.scene is None else {goal.name: goal.configurations for goal in self.scene.goals}
 
     def joint_limits(self, joint: int) -> tuple[float, float, float]:
         """Return lower and upper limit and the largest speed of an arm joint; infinite where unknown."""
@@ -65,7 +70,7 @@ class Workcell:
         return np.asarray(self.arm.chain.tool_pose(q)[:, :3, 3], dtype=np.float64)
 
     def goal_places(self) -> dict[str, FloatArray]:
-        """Return where the tool is at each goal, world frame."""
+        """Return where the tool is at each goal in its preferred configuration, world frame."""
         return {name: self.tool_path(q[None])[0] for name, q in self.goals.items()}
 
     def palm_path(self, postures: PostureTrack) -> FloatArray:
