@@ -24,10 +24,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from humanpred_ros.checks import FloatArray, checked
-from humanpred_ros.errors import GoalUnreachableError, PlanningError
+from humanpred_ros.errors import PlanningError
 from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
 from humanpred_ros.planning.costs import ObstacleCost, SmoothnessCost
 from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, MISSED, REPLAN, Decision
+from humanpred_ros.planning.goal_check import outside_limits, usable_configurations
+from humanpred_ros.planning.guard import has_become_bad, stop_reason
 from humanpred_ros.planning.motion_check import MotionChecker, SelfClearance
 from humanpred_ros.planning.path import straight
 from humanpred_ros.planning.person import Person
@@ -53,8 +55,6 @@ _DUE_TOLERANCE_S = 1e-6
 #: What a timed trajectory may lose of clearance against its path, m: corners are rounded off, and what is left of
 #: the old velocity leads off the path for a moment.
 _EXECUTION_SLACK_M = 0.005
-#: An arm that is too close to the person already may come closer by this before it is stopped, m.
-_CLOSER_M = 0.01
 
 
 class Arm(Protocol):
@@ -133,7 +133,7 @@ class MultiGoalReplanner:
             acceleration_limit=self.acceleration_limit,
             pool=ThreadPoolExecutor(self.config.n_threads) if self.config.n_threads > 1 else None,
         )
-        self._configurations = {goal.name: self._checked_goal(goal) for goal in goals}
+        self._configurations = {goal.name: usable_configurations(goal, self._tools.checker) for goal in goals}
         self._task_costs = {goal.name: goal.task_cost for goal in goals}
         self._schedule: Schedule | None = None
         self._noise_std: FloatArray | None = None
@@ -161,7 +161,7 @@ class MultiGoalReplanner:
             PlanningError: for a start that is not finite, or outside the joint limits.
         """
         q = checked("start configuration", q_start, (self.chain.n_joints,), error=PlanningError)
-        outside = self._outside_limits(q)
+        outside = outside_limits(self.chain, q)
         if outside:
             raise PlanningError(f"start configuration: {outside}; is the robot reporting this arm's joints?")
         self._schedule = Schedule(q, t_s)
@@ -217,10 +217,13 @@ class MultiGoalReplanner:
         self._check(occupancy)
         now_s = occupancy.t_s if now is None else now()
         person = self._tools.person(occupancy)
-        imminent = self._imminent(person, now_s, occupancy.t_s + self.config.period_s)
-        if imminent:
-            return replace(self.hold(now_s, imminent), stamp_s=occupancy.t_s)
-        if not (self.due(occupancy.t_s) or self._endangered(person, occupancy.t_s)):
+        schedule, t_switch_s = self._started(), occupancy.t_s + self.config.period_s
+        # Without a goal ahead it stops already, or gets out of the way as well as it can.
+        if self._leads_to is not None:
+            reason = stop_reason(person, schedule, now_s, t_switch_s, self.config.min_separation_m)
+            if reason:
+                return replace(self.hold(now_s, reason), stamp_s=occupancy.t_s)
+        if not (self.due(occupancy.t_s) or has_become_bad(person, schedule, occupancy.t_s, t_switch_s)):
             return self.keep(occupancy)
         decision = self._planned(occupancy, person, deadline)
         if now is not None and decision.trajectory is not None and now() >= decision.t_switch_s:
@@ -257,6 +260,7 @@ class MultiGoalReplanner:
             )
         if decision.trajectory is not None:
             schedule.add(decision.t_switch_s, decision.trajectory)
+        if decision.trajectory is not None or decision.action == HOLD:
             self._leads_to = decision.chosen if decision.action == REPLAN else None
         self._held = decision.reason if decision.action == HOLD else ""
         self._paths.update({report.name: report.path for report in decision.goals})
@@ -398,33 +402,6 @@ class MultiGoalReplanner:
         if stamp_s >= self._last_due_s + self.config.period_s - _DUE_TOLERANCE_S:
             self._last_due_s = stamp_s
 
-    def _imminent(self, person: Person, from_s: float, to_s: float) -> str:
-        """Return why the robot must stop at once; empty if it need not."""
-        if self._held or self._leads_to is None:
-            return ""  # it stops already, or gets out of the way as well as it can
-        schedule = self._started()
-        for begin_s, end_s, trajectory in schedule.pieces(from_s, to_s):
-            if trajectory.end_s <= begin_s:
-                continue  # an arm at rest can do nothing by stopping
-            trouble = person.in_the_way(trajectory, begin_s, end_s)
-            if trouble is None:
-                continue
-            here = float(person.gap_m(schedule.state_at(from_s)[0][None])[0])
-            wanted = min(self.config.min_separation_m, here - _CLOSER_M)
-            if float(person.gap_m(trajectory.sample(np.linspace(begin_s, end_s, 9))[0]).min()) < wanted:
-                return f"too close: {trouble}"
-        return ""
-
-    def _endangered(self, person: Person, t_s: float) -> bool:
-        """Return whether what is being executed has become bad after a new plan could take over."""
-        schedule = self._started()
-        if schedule.last_from_s > t_s:
-            return False  # the answer to the last danger has not taken over yet
-        executing = schedule.at(t_s)
-        if person.comes_to(executing.q[-1]) or person.in_the_way(executing, t_s + self.config.period_s):
-            return True
-        return executing.end_s > t_s and bool(person.on_the_way(executing, t_s + self.config.period_s))
-
     def _at_goal(self, t_s: float) -> bool:
         if self._schedule is None or self._chosen is None or self._held:
             return False
@@ -433,25 +410,3 @@ class MultiGoalReplanner:
 
     def _stop(self, schedule: Schedule, t_s: float) -> TimedTrajectory:
         return brake_along(schedule.at(t_s), t_s, self.acceleration_limit, self.config.sample_period_s)
-
-    def _checked_goal(self, goal: Goal) -> FloatArray:
-        """Return the configurations (K, D) of a goal that are within the limits and free."""
-        shape = ("K", self.chain.n_joints)
-        usable, reasons = [], []
-        for q in checked(f"goal {goal.name}", goal.configurations, shape, error=PlanningError):
-            trouble = self._outside_limits(q) or self._tools.checker.first_trouble_on_path(q[None])
-            reasons.append(str(trouble))
-            if not trouble:
-                usable.append(q)
-        if not usable:
-            raise GoalUnreachableError(
-                f"goal {goal.name}: {'; '.join(dict.fromkeys(reasons))}; choose a configuration within the limits "
-                "and clear of obstacles"
-            )
-        return np.array(usable)
-
-    def _outside_limits(self, q: FloatArray) -> str:
-        for joint, value, low, high in zip(self.chain.joint_names, q, self.chain.lower, self.chain.upper, strict=True):
-            if not low - 1e-6 <= value <= high + 1e-6:
-                return f"wanted {joint} within {low:.4f} to {high:.4f} rad, got {value:.4f} rad"
-        return ""
