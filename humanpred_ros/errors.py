@@ -40,7 +40,7 @@ class SceneError(HumanPredError):
 
 
 class GoalUnreachableError(HumanPredError):
-    """A goal configuration outside joint limits or in collision."""
+    """A goal outside joint limits or in collision, or a tool pose that no configuration reaches."""
 
 
 class PlanningError(HumanPredError):

@@ -86,6 +86,17 @@ def plan_all(world: BenchWorld, pool: ThreadPoolExecutor | None) -> None:
         pass
 
 
+def overruns_ms(world: BenchWorld, goals: Sequence[int], share: float) -> list[float]:
+    """Return how long after their deadline plans come back, if it falls after a share of the time they want."""
+    wanted_s = 1e-3 * median_ms(lambda goal: plan_one(world, goal), goals)
+    late = []
+    for goal in goals:
+        end = time.perf_counter() + share * wanted_s
+        world.planner.plan(world.paths[goal], generator(goal), lambda end=end: time.perf_counter() >= end)  # type: ignore[misc]
+        late.append(1e3 * (time.perf_counter() - end))
+    return late
+
+
 def generator(goal: int) -> np.random.Generator:
     return np.random.default_rng(goal)
 
