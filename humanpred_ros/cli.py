@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -19,7 +20,9 @@ from humanpred_ros import __version__
 from humanpred_ros.errors import HumanPredError
 from humanpred_ros.recording.salvage import BagReport, check_bag, salvage_bag
 
-console = Console()
+#: Tables for a file or another program need not fit a terminal that nobody has.
+_WIDTH_OF_FILES = 130
+console = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else _WIDTH_OF_FILES)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -30,7 +30,8 @@ def test_every_node_and_topic_is_named() -> None:
     for source in (REPOSITORY / "humanpred_ros" / "nodes").glob("*.py"):
         if "def main()" in source.read_text(encoding="utf-8"):
             assert f"`{source.stem}`" in README
-    for name in ("OCCUPANCY", "VOXEL_GRID", "HUMAN_GOALS", "JOINT_STATES", "TRAJECTORY", "DECISION", "CANDIDATES"):
+    published = ("OCCUPANCY", "VOXEL_GRID", "HUMAN_GOALS", "JOINT_STATES", "TRAJECTORY", "DECISION")
+    for name in (*published, "CANDIDATES", "ROLLOUTS"):
         assert f"`{getattr(topics, name)}`" in README
     for topic in (topics.human_joint_states("<id>"), topics.human_urdf("<id>"), topics.human_markers("<id>")):
         assert f"`{topic}`" in README

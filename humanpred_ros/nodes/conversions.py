@@ -102,6 +102,10 @@ def occupancy_from_cloud(message: PointCloud2, grid: VoxelGrid, t_s: float) -> O
             "cloud fields: wanted float32 x, y, z, probability, "
             f"got {', '.join(field.name for field in message.fields) or 'none'}"
         )
+    if len(message.data) % message.point_step:
+        raise ArrayError(
+            f"cloud data: wanted whole points of {message.point_step} bytes, got {len(message.data)} bytes"
+        )
     points = np.frombuffer(message.data, dtype="<f4").reshape(-1, 4)
     probability = np.zeros(grid.size, dtype=np.float32)
     if len(points):

@@ -77,7 +77,7 @@ class StompPlannerSettings:
     threads: int = setting(_REPLANNER.n_threads, "goals planned at the same time", 1, 64)
     waypoints: int = setting(_STOMP.n_waypoints, "waypoints of a path", 10, 1000)
     iterations: int = setting(_STOMP.n_iterations, "STOMP iterations per goal and step", 1, 10000)
-    rollouts: int = setting(_STOMP.n_rollouts, "noisy rollouts per iteration", 2, 1000)
+    rollouts: int = setting(_STOMP.n_rollouts, "noisy rollouts per iteration, half of them reused", 2, 1000)
     noise_std: float = setting(
         _STOMP.noise_std,
         "noise of the rollouts, units of R^-1; may be changed at run time",
@@ -107,7 +107,7 @@ class StompPlannerSettings:
     listener: str = setting("", "node that must be listening to the decisions before this one is ready")
     max_human_age_s: float = setting(0.5, "older human occupancy leads to a hold", 0.02, 60.0)
     stomp_share: float = setting(
-        0.4, "share of a step after which STOMP must stop in real time; the rest is for checks and sending", 0.05, 0.95
+        0.6, "share of a step after which STOMP must stop in real time, with many goals; sooner with few", 0.05, 0.95
     )
     lossless: bool = setting(False, "subscribe reliably and keep every occupancy (stepped runs)")
 
@@ -118,6 +118,7 @@ class StompPlannerSettings:
             n_waypoints=self.waypoints,
             n_iterations=self.iterations,
             n_rollouts=self.rollouts,
+            n_reused=self.rollouts // 2,
             noise_std=self.noise_std,
             noise_decay=self.noise_decay,
         )

@@ -25,6 +25,8 @@ from humanpred_ros.planning.replanner import MultiGoalReplanner
 from humanpred_ros.robot.scene import load_scene
 
 _WATCH_PERIOD_S = 0.05
+#: Share of a step after its occupancy's stamp that STOMP may take in real time: few goals answer sooner.
+_SHARE_PER_GOAL, _LEAST_SHARE = 0.125, 0.25
 
 
 class StompPlannerNode(GraphNode):
@@ -42,7 +44,7 @@ class StompPlannerNode(GraphNode):
         self.replanner.warm_up()
         self.arm_q: FloatArray | None = None
         self.origin_ns: int | None = None
-        self.last_ns = 0
+        self.last_ns = self.last_now_ns = 0
         self.holding = False
 
         self.trajectory_publisher = self.create_publisher(JointTrajectory, topics.TRAJECTORY, qos.COMMAND)
@@ -86,23 +88,29 @@ class StompPlannerNode(GraphNode):
         if self.arm_q is None:
             self.refuse("no arm: an occupancy came before the arm's joint states")
             return
-        if self.origin_ns is None or stamp_ns < self.last_ns:
+        now_ns = self.get_clock().now().nanoseconds
+        age_s = (now_ns - stamp_ns) * 1e-9
+        stale = age_s > self.settings.max_human_age_s and not self.settings.lossless
+        back = self.origin_ns is not None and stamp_ns < self.last_ns
+        if self.origin_ns is None or (back and (self.settings.lossless or now_ns < self.last_now_ns)):
             try:
                 self.replanner.start(self.arm_q, 0.0)
             except PlanningError as error:
                 self.refuse(str(error))
                 return
-            self.origin_ns = stamp_ns
-        self.last_ns = stamp_ns
+            self.origin_ns = self.last_ns = stamp_ns
+        elif back and not stale:  # overtaken by a newer one: the clock has not jumped back, so neither has the arm
+            self.refuse("stamp not increasing: an occupancy came after a newer one")
+            return
+        self.last_ns, self.last_now_ns = max(self.last_ns, stamp_ns), now_ns
         t_s = (stamp_ns - self.origin_ns) * 1e-9
-        age_s = (self.get_clock().now().nanoseconds - stamp_ns) * 1e-9
         try:
             occupancy = conversions.occupancy_from_cloud(message, self.scene.grid, t_s)
         except ArrayError as error:
             self.refuse(str(error))
             self.publish(self.replanner.hold(self.now_s(), f"invalid human data: {error}"), stamp_ns, received_s)
             return
-        if age_s > self.settings.max_human_age_s and not self.settings.lossless:
+        if stale:
             self.publish(self.replanner.hold(self.now_s(), self.stale(age_s)), stamp_ns, received_s)
             return
         self.holding = False
@@ -117,7 +125,8 @@ class StompPlannerNode(GraphNode):
         self.replanner.keep_rollouts = self.rollout_publisher.get_subscription_count() > 0
         if self.settings.lossless:
             return self.replanner.respond(occupancy)
-        enough_s = occupancy.t_s + self.settings.stomp_share * self.settings.period_s
+        share = max(_SHARE_PER_GOAL * len(self.replanner.goal_names), _LEAST_SHARE)
+        enough_s = occupancy.t_s + min(share, self.settings.stomp_share) * self.settings.period_s
         return self.replanner.respond(occupancy, self.now_s, lambda: self.now_s() >= enough_s)
 
     def stale(self, age_s: float) -> str:

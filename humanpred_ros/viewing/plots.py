@@ -58,8 +58,8 @@ def draw_plots(
         (
             "goal-costs",
             "Cost of every goal",
-            "What goals are compared by, at every replanning step (compare with P1 Fig. 9). Hollow: set aside, so that "
-            "the cheapest goal need not be the chosen one; the table of decisions says why. A decision takes effect one "
+            "What goals are compared by, at every replanning step (compare with P1 Fig. 9). Hollow: set aside, so the "
+            "cheapest goal need not be the chosen one; the table of decisions says why. A decision takes effect one "
             "step after it was computed (P1 Fig. 4).",
             lambda: goal_costs_plot(run, summary, colours),
         ),

@@ -85,7 +85,7 @@ def goal_costs_plot(run: Run, summary: RunSummary, colours: Mapping[str, str]) -
     for k, (goal, cost) in enumerate(costs.items()):
         style = {"color": colours[goal], "linestyle": DASHES[k % len(DASHES)]}
         axes.plot(number, cost, marker=MARKERS[k % len(MARKERS)], markersize=4.5, label=goal, **style)
-        chosen = np.array([row.chosen == goal and row.working for row in summary.steps])
+        chosen = np.array([row.chosen == goal and row.effective for row in summary.steps])
         axes.plot(
             number[chosen], cost[chosen], marker="o", markersize=11, linestyle="none",
             markerfacecolor="none", markeredgecolor=colours[goal], markeredgewidth=1.4,
@@ -110,8 +110,8 @@ def goal_costs_plot(run: Run, summary: RunSummary, colours: Mapping[str, str]) -
             ha="center", va="bottom", fontsize=8, color=colours.get(switch.goal_after, INK),
         )  # fmt: skip
     for row in summary.steps:
-        if row.action in _SHADED:
-            colour, strength, _ = _SHADED[row.action]
+        if _lost_to(row):
+            colour, strength, _ = _SHADED[_lost_to(row)]
             axes.axvspan(row.step - 0.5, row.step + 0.5, color=colour, alpha=strength, linewidth=0)
     axes.set_ylabel("selection cost")
     _step_axis(axes, summary)
@@ -122,7 +122,7 @@ def goal_costs_plot(run: Run, summary: RunSummary, colours: Mapping[str, str]) -
         handles.append(_key(marker="o", markersize=4.5, markerfacecolor="white", color=MUTED, label="set aside"))
     if any(not plan.eligible and not plan.set_aside for plan in plans):
         handles.append(_key(marker="x", markersize=8, markeredgewidth=1.8, color=ALARM, label="plan invalid"))
-    actions = {row.action for row in summary.steps}
+    actions = {_lost_to(row) for row in summary.steps}
     for action, (colour, strength, text) in _SHADED.items():
         if action in actions:
             handles.append(_key(marker="s", markersize=9, color=colour, alpha=2.0 * strength, label=text))
@@ -195,9 +195,14 @@ def _step_axis(axes: Axes, summary: RunSummary) -> None:
         )  # fmt: skip
 
 
+def _lost_to(row: StepRow) -> str:
+    """Return why a step did not send the arm to a goal, as in `_SHADED`; empty if it did."""
+    return "missed" if row.missed else row.instead
+
+
 def _doing(row: StepRow) -> tuple[str, str]:
     """Return the goal worked on, or what the arm did instead; a missed step leaves it at what it did."""
-    return (row.chosen, "") if row.working or row.missed else ("", row.action)
+    return ("", row.instead) if row.instead else (row.chosen, "")
 
 
 def _goal_strip(axes: Axes, summary: RunSummary, colours: Mapping[str, str]) -> None:

@@ -121,7 +121,7 @@ def _decisive(run: Run, summary: RunSummary) -> list[tuple[OccupancySnapshot, st
         row = steps[snapshots[k].t_s]
         share = "" if row.percent is None else f", {row.percent:.0f} % of the reach"
         verb = "switch to" if row.step in switched else "chosen:"
-        verdict = _WITHOUT_GOAL.get(row.action, f"{verb} {row.chosen}" if row.chosen else "nothing chosen")
+        verdict = _WITHOUT_GOAL.get(row.instead, f"{verb} {row.chosen}" if row.chosen else "nothing chosen")
         titles.append((snapshots[k], f"step {row.step}{share}\n{verdict}"))
     return titles
 

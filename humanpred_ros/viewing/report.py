@@ -17,9 +17,9 @@ from humanpred_ros import __version__
 from humanpred_ros.errors import UsageError
 from humanpred_ros.viewing.clearance import measure_clearance
 from humanpred_ros.viewing.figures import goal_colours, report_style, svg_of
+from humanpred_ros.viewing.goal_columns import told_of_goals
 from humanpred_ros.viewing.plots import draw_plots
 from humanpred_ros.viewing.plots_reliability import reliability_plot
-from humanpred_ros.viewing.goal_columns import told_of_goals
 from humanpred_ros.viewing.reliability import MOVING
 from humanpred_ros.viewing.run import Run
 from humanpred_ros.viewing.run_summary import Belief, Interruption, LatencyFigures, OccupancyCalibration, RunSummary

@@ -28,6 +28,8 @@ class StepRow:
             was no choice.
         reason: the planner's explanation.
         out: why goals were out of the question, by name.
+        instead: "hold" or "evade" where the arm did that rather than work on the chosen goal, whether this step decided
+            it or kept to it; else empty.
     """
 
     step: int
@@ -43,6 +45,7 @@ class StepRow:
     margin: float | None = None
     reason: str = ""
     out: Mapping[str, str] = field(default_factory=dict)
+    instead: str = ""
 
     @property
     def missed(self) -> bool:
@@ -50,9 +53,9 @@ class StepRow:
         return self.action == "missed"
 
     @property
-    def working(self) -> bool:
-        """Whether the arm worked on the chosen goal then: it does not while it stops or moves aside."""
-        return self.action in ("replan", "keep")
+    def effective(self) -> bool:
+        """Whether the arm worked on the chosen goal because of it."""
+        return not (self.missed or self.instead)
 
 
 @dataclass(frozen=True)

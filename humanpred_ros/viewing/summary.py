@@ -30,7 +30,7 @@ from humanpred_ros.viewing.workcell import Workcell, load_workcell
 
 #: Largest joint error at which a goal counts as reached.
 GOAL_TOLERANCE_RAD = 0.02
-#: Actions that end a hold or an evasion, as far as they are not the same again.
+#: Actions that change what the arm does; they end a hold or an evasion, as far as they are not the same again.
 _SENT_ON = ("replan", "arrived", "hold", "evade")
 #: Stamps of the last posture of the reach may round up.
 _STAMP_TOLERANCE_S = 1e-6
@@ -82,8 +82,12 @@ def summarise(run: Run, workcell: Workcell | None = None, clearance: Clearance |
 
 
 def _steps(run: Run) -> tuple[StepRow, ...]:
-    rows = []
-    for decision in run.steps:
+    rows, instead = [], ""
+    for decision in run.decisions:
+        if decision.action in _SENT_ON:  # others keep to what the arm does
+            instead = decision.action if decision.action in ("hold", "evade") else ""
+        if not decision.is_step:
+            continue
         best = run.posterior.at(decision.t_s)
         rows.append(
             StepRow(
@@ -100,6 +104,7 @@ def _steps(run: Run) -> tuple[StepRow, ...]:
                 margin=_finite(decision.margin),
                 reason=decision.reason,
                 out={goal.name: goal.set_aside or goal.message for goal in decision.goals if not goal.eligible},
+                instead=instead,
             )
         )
     return tuple(rows)

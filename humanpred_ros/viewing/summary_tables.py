@@ -33,7 +33,9 @@ def print_summary(summary: RunSummary, console: Console) -> None:
 
 
 def _steps_table(summary: RunSummary) -> Table:
-    table = Table(title="replanning steps and the cost of every goal", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
+    table = Table(
+        title="replanning steps and the cost of every goal", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False
+    )
     table.title_justify = "left"
     for name in ("step", "t in\ns", "reach", "class\np"):
         table.add_column(name, justify="right")
@@ -132,8 +134,8 @@ def _latency(latency: LatencyFigures) -> str:
 
 def _chosen(row: StepRow) -> str:
     """Return the goal with what is special about the step, short enough for a terminal of 80 columns."""
-    if row.action in ("missed", "hold", "evade"):
-        return row.action
+    if row.missed or row.instead:
+        return "missed" if row.missed else row.instead
     return ("→ " if row.switched else "") + escape(row.chosen)
 
 

@@ -148,8 +148,8 @@ def test_the_bag_is_complete_for_other_readers(run: Path) -> None:
         assert sum(1 for _ in other.messages()) == by_mcap == other.message_count
         names = {connection.topic for connection in other.connections}
     assert facts["run"]["trajectory"] == OPTIONS.trajectory
-    expected = (POSTURES, topics.human_urdf("body_0"), topics.VOXEL_GRID, topics.CANDIDATES, topics.CLOCK)
-    assert names.issuperset(expected)
+    expected = (POSTURES, topics.human_urdf("body_0"), topics.VOXEL_GRID, topics.CLOCK)
+    assert names.issuperset((*expected, topics.CANDIDATES, topics.ROLLOUTS))
     assert "<svg" in (run / "report.html").read_text(encoding="utf-8")
 
 
@@ -252,6 +252,17 @@ def mapped(pid: int) -> str:
         return Path(f"/proc/{pid}/maps").read_text(encoding="utf-8")
     except OSError:
         return ""
+
+
+def test_markers_are_recorded_where_they_are_asked_for(bag: BagReader) -> None:
+    planned = {stamp for stamp, message in by_stamp(bag, topics.DECISION).items() if len(message.status) > 1}
+    for topic, prefix in ((topics.CANDIDATES, "candidate/"), (topics.ROLLOUTS, "rollouts/")):
+        arrays = [message.markers for _, message in bag.decoded(topic)]
+        assert arrays
+        for first, *others in arrays:
+            assert first.action == 3  # DELETEALL: what an earlier step had drawn
+            assert all(marker.ns.startswith(prefix) and len(marker.points) for marker in others)
+            assert {conversions.stamp_ns(marker.header.stamp) for marker in others} <= planned
 
 
 def test_decisions_keep_their_numbers_over_the_wire(bag: BagReader) -> None:

@@ -24,6 +24,7 @@ import rclpy
 
 from humanpred_ros.nodes import conversions, topics
 from humanpred_ros.nodes.occupancy_predictor import OccupancyPredictorNode
+from humanpred_ros.nodes.run_recorder import RunRecorder
 from humanpred_ros.nodes.stomp_planner import StompPlannerNode
 
 SCENE = load_scene("face_to_face")
@@ -117,6 +118,35 @@ def test_the_planner_holds_on_occupancy_it_cannot_use(ros: Callable[..., Any]) -
     assert node.refused["other lattice"] == 1
     node.on_occupancy(cloud(2 * NS))
     assert decisions[-1].status[0].message in ("replan", "keep")
+
+
+def test_rollouts_are_kept_only_for_someone_who_looks(ros: Callable[..., Any]) -> None:
+    node = ros(StompPlannerNode, {"scene": "face_to_face", "lossless": "true", "iterations": "5", "rollouts": "6"})
+    node.on_joint_state(conversions.joint_state(node.replanner.joint_names, SCENE.start, 1))
+    drawn: list[Any] = []
+    node.rollout_publisher.publish = drawn.append
+    for t_ns in (1 * NS, 1 * NS + NS // 5):
+        node.on_occupancy(cloud(t_ns))
+    assert node.replanner.rollouts == {}
+    assert drawn == []
+    node.rollout_publisher.get_subscription_count = lambda: 1
+    node.on_occupancy(cloud(1 * NS + 2 * NS // 5))
+    assert {paths.shape[0] for paths in node.replanner.rollouts.values()} == {6}
+    assert {marker.ns for marker in drawn[0].markers[1:]} == {f"rollouts/{name}" for name in node.replanner.rollouts}
+    node.rollout_publisher.get_subscription_count = lambda: 0
+    node.on_occupancy(cloud(1 * NS + 3 * NS // 5))
+    assert len(drawn) == 1
+
+
+@pytest.mark.parametrize("markers", [False, True])
+def test_the_recorder_asks_for_markers_only_when_told_to(
+    ros: Callable[..., Any], tmp_path: Path, markers: bool
+) -> None:
+    recorder = ros(RunRecorder, {"output": f"'{tmp_path / 'bag'}'", "markers": str(markers).lower()})
+    recorder.close()
+    pictures = {topics.CANDIDATES, topics.ROLLOUTS, topics.OCCUPANCY_MARKERS}
+    assert pictures & recorder.inputs.keys() == (pictures if markers else set())
+    assert pictures & BagReader(tmp_path / "bag").topics.keys() == (pictures if markers else set())
 
 
 def test_a_tracker_that_dies_stops_the_arm(tmp_path: Path) -> None:

@@ -39,6 +39,7 @@ class Script:
         n_postures: of the reach that are published; then the last one is repeated `held` times.
         switch_step: 1-based replanning step at which the choice changes from red to blue, 0 for never.
         missed_step: 1-based step that came too late, 0 for none.
+        evade_step: 1-based step that moves out of the way instead, 0 for none.
         hold_from_s: from then on every decision is a hold and the arm stands still, None for never.
         robot_end_s: when the arm is at its goal, unless it holds.
         occupancy_delay_s, trajectory_delay_s: wall time from sending a posture to sending the answers.
@@ -56,6 +57,7 @@ class Script:
     held: int = 60
     switch_step: int = 4
     missed_step: int = 0
+    evade_step: int = 0
     hold_from_s: float | None = None
     robot_end_s: float = 2.4
     occupancy_delay_s: float = 0.004
@@ -192,14 +194,15 @@ def _answered_postures(
             last_due_s, step = t_s, step + 1
             better = "blue" if script.switch_step and step >= script.switch_step else "red"
             action = "missed" if step == script.missed_step else "replan"
-            better = chosen if action == "missed" else better
+            action = "evade" if step == script.evade_step else action
+            better = chosen if action in ("missed", "evade") else better
             values |= {
                 "step": str(step), "chosen": better, "switched": str(bool(chosen) and better != chosen).lower(),
                 "reason": "planned after its switch time" if action == "missed" else "",
                 "t_switch_s": repr(t_s + PERIOD_S), "compute_ms": "27.5",
             }  # fmt: skip
             statuses = [_goal(name, better, step) for name in ("red", "blue")]
-            if action == "replan":
+            if action in ("replan", "evade"):
                 chosen = better
                 trajectory = _trajectory(t_s + PERIOD_S, script, scene)
                 sent.append((decided - 50_000, "/r_arm_controller/joint_trajectory", trajectory))
