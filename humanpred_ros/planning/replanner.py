@@ -296,7 +296,9 @@ class MultiGoalReplanner:
         Further holds return no new trajectory; the next plan that is committed ends the hold.
         """
         schedule = self._started()
-        stop = None if self._held or self.at_rest(t_s) else self._stop(schedule, t_s)
+        # An arm at rest needs no stop, unless it is about to set out.
+        resting = self.at_rest(t_s) and schedule.last_from_s <= t_s
+        stop = None if self._held or resting else self._stop(schedule, t_s)
         decision = Decision(
             t_s, self._step, HOLD, reason, self._chosen, self._chosen,
             t_switch_s=float("nan") if stop is None else t_s, trajectory=stop,

@@ -104,35 +104,51 @@ class ReplanningStep:
         now, reports = self._now, _reports(candidates)
         if now.leads_to is not None and now.executing.end_s > now.t_switch_s and not self._gone_bad():
             return self._decision(KEEP, reason + "; what is being executed still can", now.chosen, reports)
-        comes = self._person.comes_to(self._q)
+        stop = self._stop()
+        end = self._q if stop is None else stop.q[-1]
+        comes = self._person.comes_to(end)
         aside = now.leads_to is None and not now.held and now.executing.end_s > now.t_switch_s
-        if not (comes or aside):
-            return self._decision(HOLD, reason, now.chosen, reports, self._stop())
-        trajectory = self._way_aside()
-        if trajectory is None:
-            return self._decision(HOLD, f"{comes or 'nowhere to go'}; {reason}", now.chosen, reports, self._stop())
+        runs_into = (
+            "" if stop is None or self._far_enough(stop) else "stopping alone would come too close to the person"
+        )
+        if not (comes or runs_into or aside):
+            return self._decision(HOLD, reason, now.chosen, reports, stop)
+        why = comes or runs_into
+        trajectory = self._way_aside(None if comes else stop)
+        if trajectory is None or trajectory is stop:
+            return self._decision(HOLD, f"{why or 'nowhere to go'}; {reason}", now.chosen, reports, stop)
         if trajectory is now.executing:
             return self._decision(KEEP, f"on its way aside; {reason}", now.chosen, reports)
-        return self._decision(EVADE, f"{comes or 'a better way aside'}; {reason}", now.chosen, reports, trajectory)
+        return self._decision(EVADE, f"{why or 'a better way aside'}; {reason}", now.chosen, reports, trajectory)
+
+    def _far_enough(self, trajectory: TimedTrajectory) -> bool:
+        gap = self._person.least_gap_m(trajectory, self._now.t_switch_s)
+        return gap >= self._tools.config.min_separation_m
 
     def _gone_bad(self) -> bool:
         """Return whether what is being executed should not go on: it is not free, or the person comes to its end."""
         executing = self._now.executing
         return bool(self._trouble(executing) or self._person.comes_to(executing.q[-1]))
 
-    def _way_aside(self) -> TimedTrajectory | None:
+    def _way_aside(self, stop: TimedTrajectory | None) -> TimedTrajectory | None:
         """Return the way out of the person's way that keeps the largest distance from them, up to the separation.
 
-        If the robot is on such a way already, it goes on unless another keeps a larger one.
+        If the robot is on such a way already, or could simply `stop`, that is what it does unless another keeps a
+        clearly larger one.
         """
         now, tools = self._now, self._tools
         known = np.concatenate(list(now.goals.values()))
         rng = np.random.default_rng(np.random.SeedSequence((tools.config.seed, now.step, len(now.goals))))
-        best, best_gap = None, -np.inf
+        best: TimedTrajectory | None = None
+        best_gap = -np.inf
         wanted = tools.config.min_separation_m
         aside = now.leads_to is None and not now.held and now.executing.end_s > now.t_switch_s
         if aside and not (self._person.comes_to(now.executing.q[-1]) or self._static_trouble(now.executing)):
-            best, best_gap = now.executing, self._person.least_gap_m(now.executing, now.t_switch_s) + _BETTER_GAP_M
+            best = now.executing
+        elif stop is not None:
+            best = stop
+        if best is not None:
+            best_gap = self._person.least_gap_m(best, now.t_switch_s) + _BETTER_GAP_M
         for path in ways_aside(tools, self._person, self._human, self._q, known, rng):
             if best_gap >= wanted:
                 break
