@@ -26,7 +26,7 @@ from humanpred_ros.robot.scene import load_scene
 
 _WATCH_PERIOD_S = 0.05
 #: Share of a step after its occupancy's stamp that STOMP may take in real time: few goals answer sooner.
-_SHARE_PER_GOAL, _LEAST_SHARE = 0.125, 0.25
+_SHARE_PER_GOAL, _LEAST_SHARE = 0.16, 0.25
 
 
 class StompPlannerNode(GraphNode):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from humanpred_ros.compiled import exact
 from humanpred_ros.errors import PlanningError
-from humanpred_ros.occupancy.grid import Occupancy
+from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
 
 #: A voxel whose centre is exactly at the margin counts, whatever rounding says.
 _ROUNDING = 1e-9
@@ -21,21 +21,33 @@ def widened(occupancy: Occupancy, margin_m: float) -> Occupancy:
     The arm is then charged for coming closer to the person than the margin. Voxels whose centres are
     farther apart than the margin do not affect each other, so 0 changes nothing.
 
+    Returns:
+        The box of the lattice that holds all of it: beyond, everything is 0.
+
     Raises:
         PlanningError: a margin that is negative or not finite.
     """
     if not 0.0 <= margin_m < np.inf:
         raise PlanningError(f"human margin: wanted a distance >= 0 m, got {margin_m}")
-    steps = int(margin_m / occupancy.grid.resolution_m + _ROUNDING)
+    grid = occupancy.grid
+    steps = int(margin_m / grid.resolution_m + _ROUNDING)
+    cells = np.stack(np.unravel_index(occupancy.voxels_above(0.0), grid.shape), axis=1)
+    if len(cells) == 0:
+        cells = np.zeros((1, 3), dtype=np.int64)
+    low = np.maximum(cells.min(axis=0) - steps, 0)
+    high = np.minimum(cells.max(axis=0) + steps + 1, grid.shape)
+    part = occupancy.probability[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+    origin = np.asarray(grid.origin_m) + low * grid.resolution_m
+    nx, ny, nz = (int(size) for size in high - low)
+    box = VoxelGrid((float(origin[0]), float(origin[1]), float(origin[2])), grid.resolution_m, (nx, ny, nz))
     if steps == 0:
-        return occupancy
+        return Occupancy(box, part, occupancy.t_s)
     reach = np.arange(-steps, steps + 1)
     offsets = np.stack(np.meshgrid(reach, reach, reach, indexing="ij"), axis=-1).reshape(-1, 3)
-    near = (offsets**2).sum(axis=1) <= (margin_m / occupancy.grid.resolution_m) ** 2 + _ROUNDING
-    wide = np.zeros_like(occupancy.probability)
-    cells = np.argwhere(occupancy.probability > 0.0)
-    _spread(occupancy.probability, cells, offsets[near], wide)
-    return Occupancy(occupancy.grid, wide, occupancy.t_s)
+    near = (offsets**2).sum(axis=1) <= (margin_m / grid.resolution_m) ** 2 + _ROUNDING
+    wide = np.zeros(box.shape, dtype=np.float32)
+    _spread(np.ascontiguousarray(part), cells - low, offsets[near], wide)
+    return Occupancy(box, wide, occupancy.t_s)
 
 
 @exact

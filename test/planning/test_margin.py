@@ -21,8 +21,18 @@ def test_each_voxel_is_as_likely_as_the_likeliest_within_the_margin(seed: int, m
     distance = 0.05 * np.sqrt(sum(axis**2 for axis in np.meshgrid(reach, reach, reach)))
     oracle = ndimage.maximum_filter(probability, footprint=distance <= margin_m + 1e-9, mode="constant")
     wide = widened(Occupancy(grid, probability, 2.5), margin_m)
-    assert np.array_equal(wide.probability, oracle)
-    assert wide.t_s == 2.5
+    # What comes back is the box that holds it, in its place on the lattice.
+    back = np.zeros(grid.size, dtype=np.float32)
+    back[grid.flat_index(wide.grid.centres_m(np.arange(wide.grid.size)))] = wide.probability.ravel()
+    assert np.array_equal(back.reshape(grid.shape), oracle)
+    assert (wide.t_s, wide.grid.resolution_m) == (2.5, grid.resolution_m)
+
+
+def test_with_nobody_there_the_box_is_small() -> None:
+    grid = VoxelGrid((0.0, 0.0, 0.0), 0.05, (30, 30, 30))
+    nobody = widened(Occupancy(grid, np.zeros(grid.shape, dtype=np.float32)), 0.1)
+    assert nobody.grid.size < 100
+    assert not nobody.probability.any()
 
 
 @pytest.mark.parametrize("margin_m", [-0.1, np.nan, np.inf])
