@@ -19,11 +19,12 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.occupancy.factory import DEFAULT_PREDICTOR, check_predictor, needs_model
+from humanpred_ros.occupancy.factory import check_predictor, needs_model
+from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR
+from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.model_file import load_model, save_model
-from humanpred_ros.recognition.registry import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.training import train_model
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import Scene, load_scene

@@ -12,7 +12,7 @@ from rich.table import Table
 from humanpred_ros.experiments.recognition_evaluation import REFUSAL_THRESHOLD
 from humanpred_ros.experiments.recognition_result import ClassifierResult, RecognitionEvaluation
 from humanpred_ros.experiments.recognition_scores import CurveFigures
-from humanpred_ros.recognition.registry import DEFAULT_CLASSIFIER
+from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 
 _Row = tuple[str, Callable[[ClassifierResult], str], Callable[[CurveFigures], str] | None]
 

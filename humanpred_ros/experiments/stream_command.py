@@ -29,8 +29,9 @@ from humanpred_ros.experiments.stream_truth import TruthConfig
 from humanpred_ros.experiments.streams import StreamConfig
 from humanpred_ros.motion.csv_library import DEFAULT_FRAME_PERIOD_S
 from humanpred_ros.motion.library_io import load_library
+from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.onset import OnsetConfig
-from humanpred_ros.recognition.registry import CLASSIFIERS, DEFAULT_CLASSIFIER
+from humanpred_ros.recognition.registry import CLASSIFIERS
 from humanpred_ros.resources import locate
 
 #: Advice (in the file beside a library) that says a motion is mistracked, or may be.

@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from humanpred_ros.occupancy.factory import DEFAULT_PREDICTOR
+from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR
 from humanpred_ros.planning.replanner import ReplannerConfig
 from humanpred_ros.planning.stomp import StompConfig
-from humanpred_ros.recognition.registry import DEFAULT_CLASSIFIER
+from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 
 _REPLANNER = ReplannerConfig()
 _STOMP = StompConfig()

@@ -12,8 +12,9 @@ from humanpred_ros.occupancy.forecast import ForecastPredictor
 from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.p1 import SweptVolumePredictor
 from humanpred_ros.occupancy.predictor import OccupancyPredictor
+from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.forest_classifier import ForestClassifier
-from humanpred_ros.recognition.registry import DEFAULT_CLASSIFIER, trained_classifier
+from humanpred_ros.recognition.registry import trained_classifier
 from humanpred_ros.recognition.stream import StreamClassifier
 from humanpred_ros.recognition.training import TrainedModel
 
@@ -25,7 +26,6 @@ PREDICTORS = {
     "current_accumulated": "baseline: everywhere the body was since the motion began (published code of P1)",
     "constant_velocity": "baseline: the body where it is, and where it gets to if it goes on as it moves now",
 }
-DEFAULT_PREDICTOR = "forecast"
 
 
 def needs_model(name: str) -> bool:

@@ -24,13 +24,13 @@ from humanpred_ros.occupancy.predictor import OccupancyPredictor
 from humanpred_ros.occupancy.swept_volume import swept_volume
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.recognition.class_mixtures import ClassMixtures, fit_class_mixtures, refit_class_mixtures
-from humanpred_ros.recognition.classifier import IntentClassifier
+from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER, IntentClassifier
 from humanpred_ros.recognition.forest_classifier import ForestClassifier
 from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.gmm_classifier import GmmClassifier
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.mixture import GaussianMixture
-from humanpred_ros.recognition.registry import DEFAULT_CLASSIFIER, make_classifier
+from humanpred_ros.recognition.registry import make_classifier
 from humanpred_ros.recognition.regression import regress
 from humanpred_ros.recognition.training import train_model
 

@@ -9,6 +9,9 @@ from humanpred_ros.checks import FloatArray
 from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
 from humanpred_ros.recognition.classifier import ClassPosterior
 
+#: What predicts unless told otherwise; `occupancy.factory` knows them all.
+DEFAULT_PREDICTOR = "forecast"
+
 
 @dataclass(frozen=True, eq=False)
 class Prediction:

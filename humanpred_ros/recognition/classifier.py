@@ -11,6 +11,9 @@ from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import ArrayError
 from humanpred_ros.motion.motion import MotionLibrary
 
+#: What recognises unless told otherwise; `recognition.registry` knows them all.
+DEFAULT_CLASSIFIER = "forest"
+
 
 @dataclass(frozen=True)
 class ClassPosterior:

@@ -16,7 +16,6 @@ CLASSIFIERS = {
     "forest": "calibrated trees over features of the reach that know no time, with a probability of no class",
     "gmm": "P1: a Gaussian mixture per class over phase and posture",
 }
-DEFAULT_CLASSIFIER = "forest"
 
 
 def make_classifier(name: str, config: ForestConfig | GmmConfig | None = None) -> IntentClassifier:

@@ -87,6 +87,7 @@ def build_distance_field(
     lower_m: FloatArray,
     upper_m: FloatArray,
     resolution_m: float = DEFAULT_RESOLUTION_M,
+    cap_m: float = np.inf,
 ) -> SignedDistanceField:
     """Evaluate the exact distance to the nearest obstacle on a lattice that encloses a region.
 
@@ -94,9 +95,10 @@ def build_distance_field(
         obstacles: at least one; where two overlap, the inside depth is that of the deeper one.
         lower_m, upper_m: (3,) corners of the region; one node of border is added around it.
         resolution_m: distance between neighbouring nodes.
+        cap_m: larger distances are stored as this, which saves most of the work where obstacles are small.
 
     Raises:
-        ArrayError: for no obstacles, an empty region, or a resolution that is not positive.
+        ArrayError: for no obstacles, an empty region, or a resolution or cap that is not positive.
     """
     lower = checked("distance field lower corner", lower_m, (3,))
     upper = checked("distance field upper corner", upper_m, (3,))
@@ -106,12 +108,21 @@ def build_distance_field(
         raise ArrayError(f"distance field: wanted lower < upper, got {lower} and {upper}")
     if not (resolution_m > 0 and np.isfinite(resolution_m)):
         raise ArrayError(f"distance field: wanted a positive resolution in metres, got {resolution_m}")
+    if not cap_m > 0:
+        raise ArrayError(f"distance field: wanted a positive cap in metres, got {cap_m}")
     origin = lower - resolution_m
     shape = np.ceil((upper - origin) / resolution_m).astype(int) + 2
     nodes = [origin[axis] + resolution_m * np.arange(shape[axis]) for axis in range(3)]
-    values = np.full(shape, np.inf, dtype=np.float32)
+    values = np.full(shape, cap_m, dtype=np.float32)
     for obstacle in obstacles:
-        _lower_to(values, nodes, obstacle.shape)
+        centre, half = obstacle.shape.T_world_shape[:3, 3], obstacle.shape.half_extent_m
+        near = [
+            slice(*np.searchsorted(nodes[axis], (centre[axis] - half[axis] - cap_m, centre[axis] + half[axis] + cap_m)))
+            for axis in range(3)
+        ]
+        _lower_to(
+            values[near[0], near[1], near[2]], [n[part] for n, part in zip(nodes, near, strict=True)], obstacle.shape
+        )
     return SignedDistanceField(origin, resolution_m, values)
 
 

@@ -24,6 +24,9 @@ from humanpred_ros.robot.pr2 import LEFT_ARM_JOINTS, RIGHT_ARM_JOINTS, Pr2Arm
 from humanpred_ros.robot.scene_file import Section, read_yaml
 from humanpred_ros.robot.shapes import Box, Cylinder, Obstacle, planar_pose
 
+#: Distances beyond this need not be told apart: links are skipped, and movements proven free, well below it, m.
+_FIELD_CAP_M = 0.5
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -104,11 +107,11 @@ class Scene:
     def distance_field(self, resolution_m: float = DEFAULT_RESOLUTION_M) -> SignedDistanceField:
         """Return the distance to table, objects and the robot's own fixed bodies wherever the arm can reach.
 
-        The human is not in it, as in the paper: human occupancy is a cost of its own.
+        Distances are capped at 0.5 m. The human is not in it, as in the paper: human occupancy is a cost of its own.
         """
         centre, radius = self.arm.reach
         obstacles = (*self.obstacles, *self.arm.fixed_obstacles)
-        return build_distance_field(obstacles, centre - radius, centre + radius, resolution_m)
+        return build_distance_field(obstacles, centre - radius, centre + radius, resolution_m, _FIELD_CAP_M)
 
     def check_free(self) -> None:
         """Check that the arm touches nothing, itself included, at the start and at every goal.

@@ -32,6 +32,12 @@ class Box:
         object.__setattr__(self, "T_world_shape", _pose("box", self.T_world_shape))
         object.__setattr__(self, "size_m", frozen(size))
 
+    @property
+    def half_extent_m(self) -> FloatArray:
+        """(3,) half the lengths of the upright box around it, world frame."""
+        half: FloatArray = np.abs(self.T_world_shape[:3, :3]) @ (self.size_m / 2.0)
+        return half
+
     def distance(self, points_m: FloatLike) -> FloatLike:
         """Return the (...) signed distances of world points (..., 3): metres, negative inside."""
         return self.local_distance(*_local(self.T_world_shape, points_m))
@@ -61,6 +67,13 @@ class Cylinder:
                 f"cylinder: wanted a positive radius and height in metres, got {self.radius_m} and {self.height_m}"
             )
         object.__setattr__(self, "T_world_shape", _pose("cylinder", self.T_world_shape))
+
+    @property
+    def half_extent_m(self) -> FloatArray:
+        """(3,) half the lengths of an upright box around it, world frame."""
+        size = np.array([self.radius_m, self.radius_m, self.height_m / 2.0])
+        half: FloatArray = np.abs(self.T_world_shape[:3, :3]) @ size
+        return half
 
     def distance(self, points_m: FloatLike) -> FloatLike:
         """Return the (...) signed distances of world points (..., 3): metres, negative inside."""

@@ -93,3 +93,11 @@ def test_meaningless_requests_are_refused() -> None:
         FIELD.distance(np.array([0.0, np.nan, 0.0]))
     with pytest.raises(ArrayError, match="points"):
         FIELD.nearest(np.zeros((4, 2)))
+
+
+@pytest.mark.parametrize("cap_m", [0.05, 0.3, 10.0])
+def test_a_cap_cuts_off_what_is_far_and_changes_nothing_near(cap_m: float) -> None:
+    capped = build_distance_field(OBSTACLES, LOWER, UPPER, RESOLUTION_M, cap_m)
+    np.testing.assert_array_equal(capped.values, np.minimum(FIELD.values, np.float32(cap_m)))
+    with pytest.raises(ArrayError, match="cap"):
+        build_distance_field(OBSTACLES, LOWER, UPPER, RESOLUTION_M, -cap_m)
