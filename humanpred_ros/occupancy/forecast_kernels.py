@@ -42,13 +42,14 @@ def draw(
         share[label[m]] += weight[m]
     if not share.max() > 0.0:
         return np.empty(0, np.int64), np.empty(0)
-    least = min(least_share * share.sum(), share.max())
+    whole = share.sum()
+    least = min(least_share * whole, share.max())
     count = np.zeros(n_classes, np.int64)
     for _ in range(n_futures):
         # Largest share per future next; classes without a future come first.
         best, most = -1, -1.0
         for c in range(n_classes):
-            each = share[c] / count[c] if count[c] else share[c] * 1e6
+            each = share[c] / count[c] if count[c] else 2.0 * whole + share[c]
             if share[c] >= least and share[c] > 0.0 and each > most:
                 best, most = c, each
         count[best] += 1
