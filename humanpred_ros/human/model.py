@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -23,6 +25,24 @@ from humanpred_ros.human.bodies import Body, parse_urdf, read_bodies, signature_
 from humanpred_ros.human.surface import SurfacePoints, sample_bodies
 from humanpred_ros.resources import share_file
 
+#: P2's names of the joint centres of trunk and right arm (facts: icra2015, 2.4), and the links whose origins they are.
+JOINT_CENTRES = MappingProxyType(
+    {
+        "Pelvis": "pelvis", "TorsoX": "torso", "rShoulderX": "right_shoulder", "rElbowZ": "right_elbow",
+        "rWristX": "right_wrist", "rPalm": "right_palm",
+    }
+)  # fmt: skip
+
+
+class Joints(NamedTuple):
+    """The moving joints of a model, as `kernels.link_poses` wants them; see there."""
+
+    parent: NDArray[np.int64]
+    placement: FloatArray
+    linear: FloatArray
+    K: FloatArray
+    KK: FloatArray
+
 
 class HumanModel:
     """Kinematics and body of a human; immutable, and safe to use from several threads.
@@ -33,6 +53,9 @@ class HumanModel:
         dof_names: D names, in the order of the postures' columns.
         lower, upper: (D,) joint limits, metres and radians.
         link_names: L names, the root first, a parent always before its children.
+        joints: the moving joints in the order of `dof_names`.
+        link_joint: (L,) number of the joint each link is fixed to: 0 for the root, j + 1 for DoF j.
+        T_joint_link: (L, 4, 4) pose of each link in that joint.
         bodies: the solids the human is made of.
         signature: sha256 (hex) of what defines kinematics and bodies; layout and comments of the file do not enter.
 
@@ -64,8 +87,7 @@ class HumanModel:
         self.lower = _readonly(tree.lowerPositionLimit)
         self.upper = _readonly(tree.upperPositionLimit)
         axes = [_axes(joint) for joint in list(tree.joints)[1:]]
-        #: What `kernels.link_poses` wants to know of the joints.
-        self._joints = (
+        self.joints = Joints(
             np.array(list(tree.parents)[1:], dtype=np.int64),
             np.stack([placement.homogeneous for placement in list(tree.jointPlacements)[1:]]),
             np.stack([linear for linear, _, _ in axes]),
@@ -74,14 +96,19 @@ class HumanModel:
         )
         links = [frame for frame in tree.frames if frame.type == pin.FrameType.BODY]
         self.link_names: tuple[str, ...] = tuple(frame.name for frame in links)
-        self._link_joint = np.array([frame.parentJoint for frame in links], dtype=np.int64)
-        self._T_joint_link = np.stack([frame.placement.homogeneous for frame in links])
+        self.link_joint = np.array([frame.parentJoint for frame in links], dtype=np.int64)
+        self.T_joint_link = np.stack([frame.placement.homogeneous for frame in links])
         self._surfaces: dict[float, SurfacePoints] = {}
 
     @classmethod
     def kinect12(cls) -> HumanModel:
         """Return P1's 12-DoF human, as a Kinect tracker sees a person (facts: iros2013, section 2)."""
         return cls.from_urdf(share_file("urdf", "human_kinect12.urdf"))
+
+    @classmethod
+    def mocap23(cls) -> HumanModel:
+        """Return P2's 23-DoF human, as motion capture sees trunk and right arm (facts: icra2015, section 2)."""
+        return cls.from_urdf(share_file("urdf", "human_mocap23.urdf"))
 
     @classmethod
     def from_urdf(cls, path: str | Path) -> HumanModel:
@@ -132,7 +159,7 @@ class HumanModel:
             HumanModelError: wrong shape or values that are not finite.
         """
         postures = self._checked(q)
-        poses = kernels.link_poses(postures, *self._joints, self._link_joint, self._T_joint_link)
+        poses = kernels.link_poses(postures, *self.joints, self.link_joint, self.T_joint_link)
         return poses[0] if np.ndim(q) == 1 else poses
 
     def forward(self, q: ArrayLike) -> dict[str, FloatArray]:
@@ -143,6 +170,18 @@ class HumanModel:
         """
         poses = self.link_poses(q)
         return {name: poses[..., i, :3, 3] for i, name in enumerate(self.link_names)}
+
+    def joint_centres(self, q: ArrayLike) -> dict[str, FloatArray]:
+        """Return the joint centres of trunk and right arm by P2's names (`JOINT_CENTRES`): name -> (T, 3) or (3,).
+
+        Raises:
+            HumanModelError: as `link_poses`, or a model that lacks one of the links.
+        """
+        lacking = [link for link in JOINT_CENTRES.values() if link not in self.link_names]
+        if lacking:
+            raise HumanModelError(f"joint centres: model {self.name} lacks the links {', '.join(lacking)}; add them")
+        places = self.forward(q)
+        return {name: places[link] for name, link in JOINT_CENTRES.items()}
 
     def body_poses(self, q: ArrayLike) -> FloatArray:
         """Return the poses (T, B, 4, 4) of `bodies` for postures (T, D); (B, 4, 4) for one posture (D,)."""
