@@ -1,0 +1,83 @@
+"""The command prints, writes and draws what was measured, or says in one line what is wrong before it starts."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from reaching_people import write_recording
+from rich.console import Console
+
+from humanpred_ros.errors import HumanPredError
+from humanpred_ros.experiments.reaching_command import add_arguments, run
+
+
+@pytest.fixture(scope="module")
+def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data") / "demos"
+    folder.mkdir()
+    for seed in range(3):
+        write_recording(folder, f"m{seed}", seed, n_frames=40)
+    beside = folder.parent / "interference_case"
+    beside.mkdir()
+    write_recording(beside, "beside", 9, n_frames=50)
+    return folder
+
+
+def evaluate(demos: Path, *options: str) -> str:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    text = io.StringIO()
+    assert run(parser.parse_args(["--demos", str(demos), *options]), Console(file=text, width=150)) == 0
+    return text.getvalue()
+
+
+def test_everything_printed_is_in_the_json(demos: Path, tmp_path: Path) -> None:
+    json_file, plot_file = tmp_path / "figures.json", tmp_path / "figures.png"
+    printed = evaluate(demos, "--json", str(json_file), "--plot", str(plot_file), "--seed", "3")
+    found: dict[str, Any] = json.loads(json_file.read_text(encoding="utf-8"))
+    assert [entry["title"] for entry in found["sets"]] == ["leaving the tested one out", "partner in the way"]
+    for entry in found["sets"]:
+        for predictor in entry["predictors"]:
+            for distance in ("joint_m", "task_as_coded_m", "task_m"):
+                assert f"{predictor['average'][distance]['mean']:.2f}" in printed
+                for recording in predictor["recordings"]:
+                    assert f"{recording['figures'][distance]['mean']:.2f}" in printed
+    assert [facts["name"] for facts in found["sets"][0]["recordings"]] == ["m0", "m1", "m2"]
+    assert found["settings"]["config"]["seed"] == 3
+    assert found["machine"]["usable_cores"] >= 1
+    assert plot_file.read_bytes().startswith(b"\x89PNG")
+
+
+def test_parts_can_be_left_out(demos: Path, tmp_path: Path) -> None:
+    json_file = tmp_path / "figures.json"
+    printed = evaluate(
+        demos, "--interference", "none", "--predictor", "line, time_profile", "--json", str(json_file)
+    )  # fmt: skip
+    found = json.loads(json_file.read_text(encoding="utf-8"))
+    assert len(found["sets"]) == 1
+    assert [p["name"] for p in found["sets"][0]["predictors"]] == ["line", "time_profile", "itself"]
+    assert "partner in the way" not in printed
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (("--json", "{}/no/where.json"), "there is no"),
+        (("--plot", "{}/plot.svg"), "ends with .png"),
+        (("--predictor", "line,crystal_ball"), "crystal_ball"),
+        (("--runs", "0"), "at least one run"),
+        (("--demos", "{}"), "found none"),
+        (("--interference", "{}/nowhere"), "no such folder"),
+    ],
+)
+def test_what_is_wrong_is_said_and_nothing_is_left_behind(
+    demos: Path, tmp_path: Path, options: tuple[str, str], text: str
+) -> None:
+    with pytest.raises(HumanPredError, match=text):
+        evaluate(demos, *(option.format(tmp_path) for option in options))
+    assert not list(tmp_path.iterdir())

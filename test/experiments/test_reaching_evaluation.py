@@ -1,0 +1,134 @@
+"""Every reach is predicted by somebody who did not see it, and judged beside what was published."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+from paths import shared_data
+from reaching_people import MODEL, recording
+
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.errors import UsageError
+from humanpred_ros.experiments import reaching_evaluation
+from humanpred_ros.experiments.reaching_evaluation import ReachingConfig, evaluate_reaching
+from humanpred_ros.experiments.reaching_predictors import REACHING_PREDICTORS, ReachingEntry, ReachingMaterial
+from humanpred_ros.experiments.reaching_result import Statistic
+from humanpred_ros.motion.reach_recordings import Jump, load_reach_recordings
+from humanpred_ros.reaching.distances import ReachMetric
+from humanpred_ros.reaching.task import ReachTask
+from humanpred_ros.reaching.trivial import TimedLine, minimum_jerk
+
+RECORDINGS = [recording(seed, n_frames=40) for seed in range(3)]
+
+
+class Shaky:
+    """Adds noise to the line: a predictor that chance plays a part in."""
+
+    def predict(self, task: ReachTask, rng: np.random.Generator) -> FloatArray:
+        line = TimedLine(minimum_jerk).predict(task, rng)
+        return line + 0.05 * rng.normal(size=line.shape[1])
+
+
+def with_entry(monkeypatch: pytest.MonkeyPatch, name: str, entry: ReachingEntry) -> None:
+    more: Mapping[str, ReachingEntry] = MappingProxyType({**REACHING_PREDICTORS, name: entry})
+    monkeypatch.setattr(reaching_evaluation, "REACHING_PREDICTORS", more)
+
+
+def test_figures_are_those_of_the_metric() -> None:
+    evaluation = evaluate_reaching(RECORDINGS, config=ReachingConfig(predictors=("hold", "minimum_jerk")))
+    (demos,) = evaluation.sets
+    assert demos.names == ("made_up_0", "made_up_1", "made_up_2")
+    assert [figures.name for figures in demos.predictors] == ["hold", "minimum_jerk", "itself"]
+    found = demos.predictor("minimum_jerk")
+    assert found is not None
+    metric, rng = ReachMetric(MODEL), np.random.default_rng(0)
+    wanted = [
+        metric.between(TimedLine(minimum_jerk).predict(ReachTask.of(entry), rng), entry.active.q)
+        for entry in RECORDINGS
+    ]
+    assert [found.of(entry.name).joint_m.mean for entry in RECORDINGS] == [distance.joint_m for distance in wanted]
+    assert found.average.task_m.mean == pytest.approx(np.mean([distance.task_m for distance in wanted]))
+    itself = demos.predictor("itself")
+    assert itself is not None
+    assert itself.average.joint_m == Statistic(0.0, 0.0, 0.0, 0.0)
+    assert not demos.published  # these are not P2's recordings
+    assert not evaluation.targets
+
+
+def test_nobody_learns_from_the_reach_to_predict(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: dict[str, list[str]] = {}
+
+    def prepare(material: ReachingMaterial):  # type: ignore[no-untyped-def]
+        def without(name: str) -> TimedLine:
+            asked[name] = [entry.name for entry in material.without(name)]
+            return TimedLine(minimum_jerk)
+
+        return without
+
+    with_entry(monkeypatch, "watched", ReachingEntry("", prepare))
+    case = recording(7, n_frames=40)
+    evaluation = evaluate_reaching(RECORDINGS, [case], ReachingConfig(predictors=("watched",)))
+    names = [entry.name for entry in RECORDINGS]
+    assert asked == {**{name: [n for n in names if n != name] for name in names}, case.name: names}
+    assert [entry.left_out for entry in evaluation.sets] == [True, False]
+
+
+def test_chance_is_shown_over_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    with_entry(monkeypatch, "shaky", ReachingEntry("", lambda _: lambda name: Shaky(), by_chance=True))
+    config = ReachingConfig(predictors=("shaky", "line"), runs=4)
+    a, b = (evaluate_reaching(RECORDINGS, config=config).sets[0] for _ in range(2))
+    shaky, line = a.predictors[0], a.predictors[1]
+    assert (shaky.runs, line.runs) == (4, 1)
+    joint = shaky.recordings[0].figures.joint_m
+    assert joint.low < joint.mean < joint.high
+    assert joint.sd > 0.0
+    assert line.recordings[0].figures.joint_m.sd == 0.0
+    assert [entry.figures for entry in shaky.recordings] == [entry.figures for entry in b.predictors[0].recordings]
+    other = evaluate_reaching(RECORDINGS, config=dataclasses.replace(config, seed=1)).sets[0]
+    assert other.predictors[0].recordings[0].figures != shaky.recordings[0].figures
+
+
+def test_statistics_are_averaged_as_in_the_paper() -> None:
+    a, b = Statistic.of([1.0, 3.0]), Statistic.of([5.0])
+    assert a == Statistic(2.0, 1.0, 1.0, 3.0)
+    assert Statistic.average([a, b]) == Statistic(3.5, 0.5, 3.0, 4.0)
+
+
+def test_recordings_with_jumps_are_tested_and_shown_apart() -> None:
+    jumping = dataclasses.replace(RECORDINGS[0], jumps=(Jump("active", 20, "right_wrist", 7.0),))
+    demos = evaluate_reaching([jumping, *RECORDINGS[1:]], config=ReachingConfig(predictors=("line",))).sets[0]
+    line = demos.predictors[0]
+    assert len(line.recordings) == 3
+    assert line.average_fit is not None
+    fit = [entry.figures.joint_m.mean for entry in line.recordings[1:]]
+    assert line.average_fit.joint_m.mean == pytest.approx(np.mean(fit))
+    assert demos.recordings[0]["unfit"]
+
+
+def test_impossible_requests_are_refused() -> None:
+    with pytest.raises(UsageError, match="crystal_ball"):
+        ReachingConfig(predictors=("crystal_ball",))
+    with pytest.raises(UsageError, match="at least one run"):
+        ReachingConfig(runs=0)
+    with pytest.raises(UsageError, match="leave one out"):
+        evaluate_reaching(RECORDINGS[:1])
+    with pytest.raises(UsageError, match="made_up_1 again"):
+        evaluate_reaching(RECORDINGS, RECORDINGS[1:2])
+
+
+def test_on_the_papers_recordings_all_reference_values_come_out() -> None:
+    recordings = load_reach_recordings(shared_data("icra2015/demos"))
+    case = load_reach_recordings(shared_data("icra2015/interference_case"))
+    evaluation = evaluate_reaching(recordings, case)
+    assert evaluation.sets[0].names[0] == "0446-0578"  # the paper's order
+    assert len(evaluation.sets[0].published) == 7
+    assert len(evaluation.sets[1].published) == 2
+    assert len(evaluation.targets) >= 11
+    assert all(target.met for target in evaluation.targets)
+    written = evaluation.to_json()
+    assert written["table1"]["2711-2823"] == [25.56, 45.69]
+    assert "wrist_m" not in str(written)

@@ -1,0 +1,200 @@
+"""Recordings of two people are read as they are, mended where that is safe, marked where not, refused by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from paths import shared_data
+from reaching_people import MODEL, reach, write_csv, write_recording
+
+from humanpred_ros.errors import HumanPredError, LibraryFormatError, MotionError
+from humanpred_ros.motion.reach_recordings import ReachRecording, load_reach_recordings
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_recording(tmp_path, "b", 1)
+    write_recording(tmp_path, "a", 2, n_frames=60)
+    (tmp_path / "notes.txt").write_text("not a recording")
+    return tmp_path
+
+
+def rewrite(folder: Path, name: str, role: str, **changes: object) -> None:
+    """Write one person of recording `name` (seed 1, 100 frames) again, with other stamps, postures or columns."""
+    t_s, active, passive = reach(1)
+    q = active if role == "active" else passive
+    write_csv(
+        folder / f"{name}_{role}.csv",
+        changes.get("t_s", t_s),
+        changes.get("q", q),
+        changes.get("names", MODEL.dof_names),
+    )  # type: ignore[arg-type]
+
+
+def one(folder: Path, name: str = "b") -> ReachRecording:
+    return next(entry for entry in load_reach_recordings(folder) if entry.name == name)
+
+
+def test_recordings_are_read_by_name_with_the_numbers_of_the_files(folder: Path) -> None:
+    found = load_reach_recordings(folder)
+    assert [entry.name for entry in found] == ["a", "b"]
+    assert [len(entry.active) for entry in found] == [60, 100]
+    t_s, active, passive = reach(1)
+    np.testing.assert_allclose(found[1].active.t_s, t_s, atol=1e-9)
+    np.testing.assert_array_equal(found[1].active.q, active)
+    np.testing.assert_array_equal(found[1].passive.q, passive)
+    assert found[1].active.dof_names == MODEL.dof_names
+    assert all(entry.usable_for_learning and not entry.notes for entry in found)
+
+
+def test_columns_may_stand_in_another_order(folder: Path) -> None:
+    t_s, active, _ = reach(1)
+    order = np.random.default_rng(0).permutation(23)
+    write_csv(folder / "b_active.csv", t_s, active[:, order], tuple(MODEL.dof_names[k] for k in order))
+    np.testing.assert_array_equal(one(folder).active.q, active)
+
+
+def test_angles_that_wrap_are_unwrapped_and_noted(folder: Path) -> None:
+    _, active, _ = reach(1)
+    wrapped = active.copy()
+    column = MODEL.dof_names.index("rElbowY")
+    wrapped[40:, column] += 2.0 * np.pi
+    rewrite(folder, "b", "active", q=wrapped)
+    found = one(folder)
+    np.testing.assert_allclose(found.active.q, active, atol=1e-12)
+    assert any("rElbowY" in note and "40" in note for note in found.notes)
+    assert found.usable_for_learning
+
+
+@pytest.mark.parametrize("dof", ["rForeArmTrans", "rWristX"])
+def test_a_jump_is_marked_kept_and_not_learned_from(folder: Path, dof: str) -> None:
+    _, active, _ = reach(1)
+    jumping = active.copy()
+    jumping[70, MODEL.dof_names.index(dof)] += 0.1 if "Trans" in dof else 1.0  # one frame: there and back
+    rewrite(folder, "b", "active", q=jumping)
+    found = one(folder)
+    assert [(jump.role, jump.frame) for jump in found.jumps] == [("active", 70), ("active", 71)]
+    assert not found.usable_for_learning
+    assert found.unfit is not None
+    assert found.unfit.startswith("b: ")
+    assert "frame 70" in found.unfit
+    np.testing.assert_array_equal(found.active.q, jumping)
+
+
+def test_a_jump_of_the_partner_is_marked_only(folder: Path) -> None:
+    _, _, passive = reach(1)
+    passive[70:, MODEL.dof_names.index("rForeArmTrans")] += 0.1
+    rewrite(folder, "b", "passive", q=passive)
+    found = one(folder)
+    assert [(jump.role, jump.frame) for jump in found.jumps] == [("passive", 70)]
+    assert found.usable_for_learning
+
+
+def test_a_fast_person_is_not_a_jump(folder: Path) -> None:
+    t_s, _, _ = reach(1)
+    for role in ("active", "passive"):
+        rewrite(folder, "b", role, t_s=t_s / 8.0)  # hand at up to 10 m/s, evenly
+    found = one(folder)
+    speed = np.linalg.norm(np.diff(MODEL.forward(found.active.q)["right_wrist"], axis=0), axis=1) / 0.00125
+    assert speed.max() > 5.0
+    assert not found.jumps
+
+
+def test_a_short_reach_is_kept_and_not_learned_from(tmp_path: Path) -> None:
+    write_recording(tmp_path, "brief", 3, n_frames=6)
+    found = one(tmp_path, "brief")
+    assert len(found.active) == 6
+    assert found.unfit is not None
+    assert "brief: 6 frames" in found.unfit
+
+
+def test_a_gap_in_time_is_noted(folder: Path) -> None:
+    t_s, _, _ = reach(1)
+    t_s[50:] += 0.2
+    for role in ("active", "passive"):
+        rewrite(folder, "b", role, t_s=t_s)
+    assert any("210 ms" in note and "frame 50" in note for note in one(folder).notes)
+
+
+def test_small_differences_of_the_clocks_are_taken_for_none(folder: Path) -> None:
+    t_s, _, _ = reach(1)
+    rewrite(folder, "b", "passive", t_s=t_s + 0.002)
+    found = one(folder)
+    np.testing.assert_array_equal(found.active.t_s, found.passive.t_s)
+
+
+T_S, _, PASSIVE = reach(1)
+NAN = PASSIVE.copy()
+NAN[7, 4] = np.nan
+
+
+@pytest.mark.parametrize(
+    ("error", "text", "changes"),
+    [
+        (MotionError, "recording b: wanted as many frames.*90 passive", {"t_s": T_S[:90], "q": PASSIVE[:90]}),
+        (MotionError, "recording b: .*same times, at frame 0", {"t_s": T_S + 0.05}),
+        (LibraryFormatError, "recording b, passive.*no rWristY", {"q": PASSIVE[:, :22], "names": MODEL.dof_names[:22]}),
+        (LibraryFormatError, "recording b, passive.*PelvisRotY at frame 7", {"q": NAN}),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_used_is_refused_by_name(
+    folder: Path, error: type[HumanPredError], text: str, changes: dict[str, object]
+) -> None:
+    rewrite(folder, "b", "passive", **changes)
+    with pytest.raises(error, match=text):
+        load_reach_recordings(folder)
+
+
+def test_times_must_increase(folder: Path) -> None:
+    t_s, _, _ = reach(1)
+    t_s[30] = t_s[29]
+    for role in ("active", "passive"):
+        rewrite(folder, "b", role, t_s=t_s)
+    with pytest.raises(MotionError, match=r"recording b, active: wanted increasing stamps.*frame 30"):
+        load_reach_recordings(folder)
+
+
+def test_both_people_are_needed(folder: Path) -> None:
+    (folder / "a_passive.csv").unlink()
+    with pytest.raises(LibraryFormatError, match="a, got active without passive"):
+        load_reach_recordings(folder)
+
+
+@pytest.mark.parametrize("text", ["", "t\n0.0\n", "t,PelvisTransX\n0.0,x\n"])
+def test_files_of_other_content_are_refused(folder: Path, text: str) -> None:
+    (folder / "b_active.csv").write_text(text)
+    with pytest.raises(LibraryFormatError, match="recording b, active"):
+        load_reach_recordings(folder)
+
+
+def test_rows_of_words_and_single_frames_are_refused(folder: Path) -> None:
+    lines = (folder / "b_active.csv").read_text().splitlines()
+    (folder / "b_active.csv").write_text("\n".join([*lines[:3], lines[3].replace("0.02,", "soon,", 1), *lines[4:]]))
+    with pytest.raises(LibraryFormatError, match="frame 2"):
+        load_reach_recordings(folder)
+    (folder / "b_active.csv").write_text("\n".join(lines[:2]))
+    with pytest.raises(LibraryFormatError, match="at least 2 frames"):
+        load_reach_recordings(folder)
+
+
+def test_empty_and_missing_folders_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(LibraryFormatError, match="found none"):
+        load_reach_recordings(tmp_path)
+    with pytest.raises(LibraryFormatError, match="no such folder"):
+        load_reach_recordings(tmp_path / "nowhere")
+
+
+def test_the_papers_recordings_are_read_and_the_glitch_is_found() -> None:
+    found = load_reach_recordings(shared_data("icra2015/demos"))
+    assert [len(entry.active) for entry in found] == [141, 132, 100, 132, 91, 71, 112]
+    assert [entry.active.duration_s for entry in found] == pytest.approx(
+        [1.40, 1.31, 0.99, 1.31, 0.90, 0.70, 1.11], abs=1e-3
+    )
+    assert [entry.name for entry in found if not entry.usable_for_learning] == ["0444-0585"]
+    (jump,) = (jump for entry in found for jump in entry.jumps if jump.role == "active")
+    assert (jump.frame, jump.link) == (130, "right_wrist")
+    assert jump.speed_m_s == pytest.approx(7.0, abs=0.1)
+    partners = {entry.name for entry in found if any(jump.role == "passive" for jump in entry.jumps)}
+    assert partners == {"0446-0578", "0525-0657", "2711-2823"}
