@@ -1,0 +1,89 @@
+"""How far each DoF of a predicted reach may go: as far as demonstrations did and a little farther (facts section 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from humanpred_ros.checks import FloatArray, checked, frozen
+from humanpred_ros.errors import MotionError
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.reach_recordings import ReachRecording
+
+
+@dataclass(frozen=True)
+class BoundsConfig:
+    """Margins beyond what demonstrations used (facts section 3).
+
+    Attributes:
+        translation_m: of all translations: pelvis, shoulder, lengths of the bones.
+        pelvis_rad: of the pelvis' rotations.
+        rotation_rad: of all other rotations; None leaves them free, as P2 does.
+    """
+
+    translation_m: float = 0.02
+    pelvis_rad: float = 0.05
+    rotation_rad: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class PostureBounds:
+    """Least and greatest value of each DoF.
+
+    Attributes:
+        lower, upper: (J,) metres and radians.
+        free: (J,) rotations without bounds; theirs are half a turn to each side of the reach.
+
+    Raises:
+        MotionError: arrays that do not fit each other.
+    """
+
+    lower: FloatArray
+    upper: FloatArray
+    free: np.ndarray[tuple[int], np.dtype[np.bool_]]
+
+    def __post_init__(self) -> None:
+        lower = checked("lower bounds", self.lower, ("J",), error=MotionError)
+        upper = checked("upper bounds", self.upper, (len(lower),), error=MotionError)
+        free = np.array(self.free, dtype=np.bool_)
+        if free.shape != lower.shape or not (lower < upper).all():
+            raise MotionError(f"posture bounds: wanted lower < upper and as many flags, got {lower}, {upper}, {free}")
+        for name, value in (("lower", lower), ("upper", upper), ("free", free)):
+            object.__setattr__(self, name, frozen(value))
+
+    @classmethod
+    def from_recordings(
+        cls, recordings: Sequence[ReachRecording], model: HumanModel, config: BoundsConfig | None = None
+    ) -> PostureBounds:
+        """Return the bounds that the reaching people of recordings kept, with margins.
+
+        Raises:
+            MotionError: no recordings.
+            HumanModelError: recordings of another human.
+        """
+        config = config or BoundsConfig()
+        if not recordings:
+            raise MotionError("posture bounds: wanted at least one recording, got none")
+        for recording in recordings:
+            model.check_dofs(recording.active.dof_names)
+        q = np.concatenate([recording.active.q for recording in recordings])
+        slides = np.abs(model.joints.linear).sum(axis=1) > 0.0
+        pelvis = np.array([name.startswith("PelvisRot") for name in model.dof_names])
+        free = ~(slides | pelvis) if config.rotation_rad is None else np.zeros(len(slides), dtype=np.bool_)
+        margin = np.where(slides, config.translation_m, config.pelvis_rad)
+        if config.rotation_rad is not None:
+            margin = np.where(slides | pelvis, margin, config.rotation_rad)
+        margin = np.where(free, np.pi, margin)
+        return cls(q.min(axis=0) - margin, q.max(axis=0) + margin, free)
+
+    def around(self, start: FloatArray, goal: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return lower and upper bounds (J,) of a reach: both ends are allowed, wherever they are.
+
+        A reach may begin or end beyond what demonstrations did; bounds then give way.
+        """
+        low, high = np.minimum(start, goal), np.maximum(start, goal)
+        lower = np.where(self.free, low - np.pi, np.minimum(self.lower, low))
+        upper = np.where(self.free, high + np.pi, np.maximum(self.upper, high))
+        return lower, upper
