@@ -16,7 +16,8 @@ import numpy as np
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import UsageError
 from humanpred_ros.experiments.evaluation_files import machine_facts
-from humanpred_ros.experiments.reaching_predictors import REACHING_PREDICTORS, ReachingMaterial, Without
+from humanpred_ros.experiments.reaching_entry import ReachingMaterial, Without
+from humanpred_ros.experiments.reaching_predictors import REACHING_PREDICTORS
 from humanpred_ros.experiments.reaching_reference import (
     DEMONSTRATIONS,
     INTERFERENCE_CASE,

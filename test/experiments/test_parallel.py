@@ -20,7 +20,9 @@ from humanpred_ros.experiments.parallel import WorkerError, map_processes, usabl
 # Workers import what they run by name and cannot import this module: tasks are built-ins, or text for `eval`.
 MARKER = "HUMANPRED_TEST_WORKERS"
 TWO_LONG_TASKS = (
-    "import time\nfrom humanpred_ros.experiments.parallel import map_processes\n"
+    # A shell that starts tests in the background has its children ignore Ctrl-C.
+    "import signal, time\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    "from humanpred_ros.experiments.parallel import map_processes\n"
     "print('started', flush=True)\nmap_processes(time.sleep, [0.0, 600.0, 600.0], 2, lambda n: print(n, flush=True))\n"
 )
 

@@ -14,8 +14,9 @@ from reaching_people import MODEL, recording
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import UsageError
 from humanpred_ros.experiments import reaching_evaluation
+from humanpred_ros.experiments.reaching_entry import ReachingEntry, ReachingMaterial
 from humanpred_ros.experiments.reaching_evaluation import ReachingConfig, evaluate_reaching
-from humanpred_ros.experiments.reaching_predictors import REACHING_PREDICTORS, ReachingEntry, ReachingMaterial
+from humanpred_ros.experiments.reaching_predictors import REACHING_PREDICTORS
 from humanpred_ros.experiments.reaching_result import Statistic
 from humanpred_ros.motion.reach_recordings import Jump, load_reach_recordings
 from humanpred_ros.reaching.distances import ReachMetric
@@ -115,15 +116,16 @@ def test_impossible_requests_are_refused() -> None:
     with pytest.raises(UsageError, match="at least one run"):
         ReachingConfig(runs=0)
     with pytest.raises(UsageError, match="leave one out"):
-        evaluate_reaching(RECORDINGS[:1])
+        evaluate_reaching(RECORDINGS[:1], config=ReachingConfig(predictors=("line",)))
     with pytest.raises(UsageError, match="made_up_1 again"):
-        evaluate_reaching(RECORDINGS, RECORDINGS[1:2])
+        evaluate_reaching(RECORDINGS, RECORDINGS[1:2], ReachingConfig(predictors=("line",)))
 
 
 def test_on_the_papers_recordings_all_reference_values_come_out() -> None:
     recordings = load_reach_recordings(shared_data("icra2015/demos"))
     case = load_reach_recordings(shared_data("icra2015/interference_case"))
-    evaluation = evaluate_reaching(recordings, case)
+    trivial = ("hold", "line", "cubic", "minimum_jerk", "time_profile")
+    evaluation = evaluate_reaching(recordings, case, ReachingConfig(predictors=trivial))
     assert evaluation.sets[0].names[0] == "0446-0578"  # the paper's order
     assert len(evaluation.sets[0].published) == 7
     assert len(evaluation.sets[1].published) == 2
