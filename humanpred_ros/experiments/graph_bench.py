@@ -27,7 +27,7 @@ from humanpred_ros.recognition.model_file import save_model
 from humanpred_ros.recognition.training import train_model
 from humanpred_ros.resources import locate
 
-#: Targets of issue 4: 99th percentile of posture to trajectory by number of goals, ms; and readiness, s.
+#: What is aimed at: 99th percentile of posture to trajectory by number of goals, ms; and readiness, s.
 TARGET_MS = {2: 60.0, 8: 150.0}
 TARGET_READY_S = 3.0
 _LIBRARY, _TRAJECTORY = "synthetic_reaches", "3/2"

@@ -53,7 +53,8 @@ class ReplanningStep:
                     return self._decision(KEEP, f"about to arrive at {now.chosen}", now.chosen, (report,))
                 return self._decision(ARRIVED, f"at {now.chosen}", now.chosen, (report,))
         candidates = list(self._candidates.plan(self._deadline))
-        if all(c.report.iterations == 0 for c in candidates if not c.report.set_aside) and self._late():
+        considered = [c.report for c in candidates if not c.report.set_aside]
+        if considered and all(report.iterations == 0 for report in considered) and self._late():
             return self._wait("the deadline left no time for a single update", candidates)
         for k in self._ranking(candidates):
             candidate = candidates[k]

@@ -243,6 +243,15 @@ def test_a_deadline_too_short_for_one_update_is_a_hold_with_a_reason() -> None:
     assert subject.plan(nobody(0.2), deadline=lambda: True).action == "keep"
 
 
+def test_a_late_deadline_is_not_blamed_where_the_person_takes_every_goal() -> None:
+    subject = replanner(goals=GOALS[:1])
+    x, y, _ = ARM.chain.link_poses(LEFT)[-1, :3, 3]
+    decision = subject.plan(somebody_at(x, y, radius_m=0.1), deadline=lambda: True)
+    assert decision.action == "hold"
+    assert "the person is likely" in decision.reason
+    assert "single update" not in decision.reason
+
+
 def test_goals_share_the_time_there_is() -> None:
     goals = tuple(Goal(f"place {k}", START + np.array([0.2 * k - 0.7, 0.1, 0.0])) for k in range(8))
     for n_threads in (1, 2):
