@@ -12,12 +12,8 @@ from numpy.typing import NDArray
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.compiled import exact
 from humanpred_ros.occupancy.body_parts import Float32Array
+from humanpred_ros.occupancy.point_kernels import BitArray, chain, holds_ball, spread_out, voxels, voxels_within
 from humanpred_ros.occupancy.recorded_futures import MOMENTS, Ways
-
-BitArray = NDArray[np.uint32]
-
-#: The most that is said of a place the body is not in yet: 1 is for where it is now, which a planner may rely on.
-NEVER_CERTAIN = np.float32(1.0 - 2.0**-10)
 
 
 @exact
@@ -130,13 +126,13 @@ def follow(
                             R[a, 0] * ways.pose[n, 0, b] + R[a, 1] * ways.pose[n, 1, b] + R[a, 2] * ways.pose[n, 2, b]
                         )
                     pose[a, 3] = ways.pose[n, a, 3] + left * (now[p, a, 3] - exemplar[a, 3])
-                _chain(T_grid_library, pose, M)
+                chain(T_grid_library, pose, M)
                 begin, end = rounds[p, n % n_rounds], rounds[p, n % n_rounds + 1]
                 xs, ys, zs = x[begin:end], y[begin:end], z[begin:end]
-                if _holds(shape, M, balls[p], per_voxel):
-                    _voxels_within(M, xs, ys, zs, shape, index)
+                if holds_ball(shape, M, balls[p], per_voxel):
+                    voxels_within(M, xs, ys, zs, shape, index)
                 else:
-                    _voxels(M, xs, ys, zs, shape, index)
+                    voxels(M, xs, ys, zs, shape, index)
                 for j in range(end - begin):
                     touched[index[j]] |= bit
 
@@ -188,19 +184,7 @@ def count(
                         share[i, j, k + 1] = one
             v += n_z
     touched[v] = 0
-    own, sixth = np.float32(1.0 - spread), np.float32(spread / 6.0)
-    for i in range(1, n_x + 1):
-        for j in range(1, n_y + 1):
-            if busy[i, j] or busy[i - 1, j] or busy[i + 1, j] or busy[i, j - 1] or busy[i, j + 1]:
-                for k in range(1, n_z + 1):
-                    beside = share[i - 1, j, k] + share[i + 1, j, k] + share[i, j - 1, k] + share[i, j + 1, k]
-                    beside += share[i, j, k - 1] + share[i, j, k + 1]
-                    p = min(own * share[i, j, k] + sixth * beside, NEVER_CERTAIN)
-                    out[i - 1, j - 1, k - 1] = one if now[i - 1, j - 1, k - 1] else p
-    for i in range(1, n_x + 1):
-        for j in range(1, n_y + 1):
-            if busy[i, j]:
-                share[i, j] = 0.0
+    spread_out(share, busy, now, spread, out)
 
 
 @exact
@@ -228,53 +212,3 @@ def _rotation(turn: FloatArray, share: float, R: FloatArray) -> None:
     R[0, 0], R[0, 1], R[0, 2] = 1.0 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y
     R[1, 0], R[1, 1], R[1, 2] = c * x * y + s * z, 1.0 - c * (x * x + z * z), c * y * z - s * x
     R[2, 0], R[2, 1], R[2, 2] = c * x * z - s * y, c * y * z + s * x, 1.0 - c * (x * x + y * y)
-
-
-@exact
-def _chain(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
-    """Write the upper three rows of the product of transforms A (4, 4) and B (3, 4)."""
-    for a in range(3):
-        for b in range(4):
-            out[a, b] = A[a, 0] * B[0, b] + A[a, 1] * B[1, b] + A[a, 2] * B[2, b]
-        out[a, 3] += A[a, 3]
-
-
-@exact
-def _holds(shape: tuple[int, int, int], M: FloatArray, ball: FloatArray, per_voxel: float) -> bool:
-    """Return whether a ball (4,) moved by M (3, 4) lies within the grid."""
-    radius = ball[3] * per_voxel + 1e-3  # more than single precision gets wrong
-    for a in range(3):
-        centre = M[a, 0] * ball[0] + M[a, 1] * ball[1] + M[a, 2] * ball[2] + M[a, 3]
-        if centre - radius < 0.0 or centre + radius > shape[a]:
-            return False
-    return True
-
-
-@exact
-def _voxels_within(
-    M: FloatArray, x: Float32Array, y: Float32Array, z: Float32Array, shape: tuple[int, int, int], out: BitArray
-) -> None:
-    """Write the flat voxels of points (n,) that are all within the grid, where truncation rounds down."""
-    a, b, c, d = np.float32(M[0, 0]), np.float32(M[0, 1]), np.float32(M[0, 2]), np.float32(M[0, 3])
-    e, f, g, h = np.float32(M[1, 0]), np.float32(M[1, 1]), np.float32(M[1, 2]), np.float32(M[1, 3])
-    i, j, k, m = np.float32(M[2, 0]), np.float32(M[2, 1]), np.float32(M[2, 2]), np.float32(M[2, 3])
-    n_y, n_z = np.int32(shape[1]), np.int32(shape[2])
-    for p in range(len(x)):
-        u = np.int32(a * x[p] + b * y[p] + c * z[p] + d)
-        v = np.int32(e * x[p] + f * y[p] + g * z[p] + h)
-        w = np.int32(i * x[p] + j * y[p] + k * z[p] + m)
-        out[p] = (u * n_y + v) * n_z + w
-
-
-@exact
-def _voxels(
-    M: FloatArray, x: Float32Array, y: Float32Array, z: Float32Array, shape: tuple[int, int, int], out: BitArray
-) -> None:
-    """Write the flat voxels of points (n,); one outside gets the number after the last voxel."""
-    n_x, n_y, n_z = shape
-    for p in range(len(x)):
-        u = np.floor(M[0, 0] * x[p] + M[0, 1] * y[p] + M[0, 2] * z[p] + M[0, 3])
-        v = np.floor(M[1, 0] * x[p] + M[1, 1] * y[p] + M[1, 2] * z[p] + M[1, 3])
-        w = np.floor(M[2, 0] * x[p] + M[2, 1] * y[p] + M[2, 2] * z[p] + M[2, 3])
-        inside = u >= 0.0 and u < n_x and v >= 0.0 and v < n_y and w >= 0.0 and w < n_z
-        out[p] = np.uint32((u * n_y + v) * n_z + w) if inside else np.uint32(n_x * n_y * n_z)

@@ -16,6 +16,7 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy import forecast_kernels as kernels
 from humanpred_ros.occupancy.body_parts import BodyParts
 from humanpred_ros.occupancy.grid import VoxelGrid
+from humanpred_ros.occupancy.point_kernels import NEVER_CERTAIN
 from humanpred_ros.occupancy.recorded_futures import RecordedFutures
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.recognition.forest_model import Exemplars
@@ -167,7 +168,7 @@ def test_bits_are_counted_and_spread(bits: np.ndarray, now: np.ndarray, probabil
     beside[[0, 2, 1, 1, 1, 1], [1, 1, 0, 2, 1, 1], [1, 1, 1, 1, 0, 2]] = spread / 6
     beside[1, 1, 1] = 1 - spread
     # Only where the body is now is it certain.
-    expected = np.where(now, 1.0, np.minimum(convolve(expected, beside, mode="constant"), kernels.NEVER_CERTAIN))
+    expected = np.where(now, 1.0, np.minimum(convolve(expected, beside, mode="constant"), NEVER_CERTAIN))
     np.testing.assert_allclose(out, expected, atol=1e-6)
     assert np.array_equal(out == 1.0, now)
     assert not touched.any()
