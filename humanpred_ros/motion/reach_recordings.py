@@ -8,8 +8,6 @@ program is marked and kept (jumps), and what cannot be used at all is refused wi
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +17,9 @@ from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import LibraryFormatError, MotionError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
-from humanpred_ros.motion.resampling import unwrap_angles
+from humanpred_ros.motion.reach_csv import read_table
+from humanpred_ros.motion.reach_plausibility import check_two_people, check_units, doubts
+from humanpred_ros.motion.resampling import is_angle, unwrap_angles
 
 ACTIVE, PASSIVE = "active", "passive"
 #: Frame of the motion-capture system, z up, the floor at zero.
@@ -37,6 +37,8 @@ class ReachRecordingConfig:
         gap_factor: a step of time longer than this many times the median is noted as a gap.
         jump_speed_m_s: a faster one-frame step of elbow, wrist or palm is a jump, if it is isolated. Own judgement:
             P2's reaches stay below 2.1 m/s, its jumps begin at 3.6 m/s.
+        jump_speed_rad_s: the same for an angle, which can jump though no watched link does: a hand turned about
+            itself, or three angles that flip to others of the same posture. P2's people stay below 29 rad/s.
         jump_isolation: a jump is also this many times the median speed within five frames, so that somebody who
             moves fast is not one.
         least_frames: a shorter motion is not learned from: the jerk's difference spans 7 frames (facts section 4).
@@ -45,6 +47,7 @@ class ReachRecordingConfig:
     synchrony_s: float = 0.003
     gap_factor: float = 3.0
     jump_speed_m_s: float = 3.0
+    jump_speed_rad_s: float = 50.0
     jump_isolation: float = 3.0
     least_frames: int = 7
 
@@ -56,14 +59,19 @@ class Jump:
     Attributes:
         role: ACTIVE or PASSIVE.
         frame: the first frame after the step; what lies beyond it, up to the next jump, may be displaced.
-        link: the watched link that moved fastest.
-        speed_m_s: its speed.
+        what: the watched link that moved fastest, or the angle that turned fastest if no link jumped.
+        speed: of that.
+        unit: of the speed, m/s or rad/s.
     """
 
     role: str
     frame: int
-    link: str
-    speed_m_s: float
+    what: str
+    speed: float
+    unit: str = "m/s"
+
+    def __str__(self) -> str:
+        return f"{self.what.replace('_', ' ')} jumps at frame {self.frame} ({self.speed:.1f} {self.unit})"
 
 
 @dataclass(frozen=True)
@@ -72,7 +80,7 @@ class ReachRecording:
 
     Attributes:
         name: of the recording, usually its first and last frame in the session.
-        active: who reaches; angles are unwrapped, stamps begin at 0.
+        active: who reaches; angles are unwrapped from a first one within half a turn of zero, stamps begin at 0.
         passive: the partner.
         jumps: marked steps of both, by frame.
         notes: sentences about what was mended or looks doubtful.
@@ -102,11 +110,8 @@ class ReachRecording:
         if len(self.active) < self.least_frames:
             return f"{self.name}: {len(self.active)} frames, the jerk's difference needs {self.least_frames}"
         if mine := [jump for jump in self.jumps if jump.role == ACTIVE]:
-            jump = mine[0]
-            return (
-                f"{self.name}: {jump.link.replace('_', ' ')} of the reaching person jumps at frame {jump.frame} "
-                f"({jump.speed_m_s:.1f} m/s)"
-            )
+            more = f", {len(mine) - 1} more" if len(mine) > 1 else ""
+            return f"{self.name}: the reaching person's {mine[0]}{more}"
         return None
 
     @property
@@ -141,6 +146,10 @@ def load_reach_recordings(
             raise LibraryFormatError(
                 f"{folder}: wanted both people of {', '.join(lonely)}, got {role} without {other}; add or remove a file"
             )
+    if "" in files[ACTIVE]:
+        raise LibraryFormatError(
+            f"{folder}: wanted <name>_{ACTIVE}.csv, got a recording without a name; name its files"
+        )
     model = model or HumanModel.mocap23()
     return tuple(
         read_reach_recording(name, files[ACTIVE][name], files[PASSIVE][name], model, config)
@@ -153,16 +162,29 @@ def read_reach_recording(
 ) -> ReachRecording:
     """Return one recording; errors as `load_reach_recordings` has them."""
     config = config or ReachRecordingConfig()
-    tables = {role: _read(name, role, path, model.dof_names) for role, path in ((ACTIVE, active), (PASSIVE, passive))}
+    tables = {
+        role: read_table(f"recording {name}, {role} ({path})", path, model.dof_names)
+        for role, path in ((ACTIVE, active), (PASSIVE, passive))
+    }
     stamps = {role: table[:, 0] for role, table in tables.items()}
     if len(stamps[ACTIVE]) != len(stamps[PASSIVE]):
         raise MotionError(
             f"recording {name}: wanted as many frames of both people, got {len(stamps[ACTIVE])} {ACTIVE} and "
             f"{len(stamps[PASSIVE])} {PASSIVE}; cut both to the frames they share"
         )
+    for role, table in tables.items():
+        check_units(f"recording {name}, {role}", table[:, 0], table[:, 1:], model.dof_names)
+    for role, t_s in stamps.items():
+        if (late := np.flatnonzero(np.diff(t_s) <= 0.0)).size:
+            k = int(late[0])
+            raise MotionError(
+                f"recording {name}, {role}: wanted increasing stamps, got {t_s[k]:.6f} s and then {t_s[k + 1]:.6f} s "
+                f"at frame {k + 1}; correct or remove the recording"
+            )
     apart = np.abs(stamps[ACTIVE] - stamps[PASSIVE])
-    if apart.max() > config.synchrony_s:
-        k = int(np.argmax(apart > config.synchrony_s))
+    allowed = config.synchrony_s + 1e-9  # stamps are rounded
+    if apart.max() > allowed:
+        k = int(np.argmax(apart > allowed))
         raise MotionError(
             f"recording {name}: wanted both people at the same times, at frame {k} they are {1e3 * apart[k]:.1f} ms "
             f"apart ({1e3 * config.synchrony_s:.1f} ms are allowed); resample one of them to the other's stamps"
@@ -173,32 +195,46 @@ def read_reach_recording(
     for role, table in tables.items():
         # Both get the active person's stamps: what differs is less than the clock's accuracy.
         motion = _motion(f"recording {name}, {role}", stamps[ACTIVE], table[:, 1:], model.dof_names)
-        motions[role] = unwrap_angles(motion)
-        notes += [f"{role}: {text}" for text in (*_wraps(motion, motions[role]), *_gaps(motion, config))]
+        smooth = unwrap_angles(motion)
+        motions[role], turned = _first_turn(smooth)
+        notes += [f"{role}: {text}" for text in (*_wraps(motion, smooth), *turned, *_gaps(motion, config))]
         jumps += find_jumps(motions[role], role, model, config)
-    notes += [
-        f"{jump.role}: {jump.link.replace('_', ' ')} jumps at frame {jump.frame} ({jump.speed_m_s:.1f} m/s)"
-        for jump in jumps
-    ]
+    notes += [f"{jump.role}: {jump}" for jump in jumps]
+    check_two_people(f"recording {name}", motions[ACTIVE], motions[PASSIVE])
+    notes += doubts(motions[ACTIVE], motions[PASSIVE], model)
     return ReachRecording(name, motions[ACTIVE], motions[PASSIVE], tuple(jumps), tuple(notes), config.least_frames)
 
 
 def find_jumps(
     motion: Motion, role: str, model: HumanModel, config: ReachRecordingConfig | None = None
 ) -> tuple[Jump, ...]:
-    """Return the isolated steps of elbow, wrist or palm that are faster than a person, at most one for each frame."""
+    """Return the isolated steps that are faster than a person, at most one for each frame.
+
+    Those of elbow, wrist or palm come first; where none of them jumps, an angle may.
+    """
     config = config or ReachRecordingConfig()
     places = model.forward(motion.q)
     path = np.stack([places[link] for link in WATCHED_LINKS], axis=1)
-    speed = np.linalg.norm(np.diff(path, axis=0), axis=-1) / np.diff(motion.t_s)[:, None]
+    step_s = np.diff(motion.t_s)[:, None]
+    found = _isolated(np.linalg.norm(np.diff(path, axis=0), axis=-1) / step_s, config.jump_speed_m_s, config)
+    jumps = {k + 1: Jump(role, k + 1, WATCHED_LINKS[which], speed) for k, which, speed in found}
+    angles = [d for d, name in enumerate(motion.dof_names) if is_angle(name)]
+    turning = np.abs(np.diff(motion.q[:, angles], axis=0)) / step_s
+    for k, which, speed in _isolated(turning, config.jump_speed_rad_s, config):
+        jumps.setdefault(k + 1, Jump(role, k + 1, motion.dof_names[angles[which]], speed, "rad/s"))
+    return tuple(jumps[frame] for frame in sorted(jumps))
+
+
+def _isolated(speed: FloatArray, limit: float, config: ReachRecordingConfig) -> list[tuple[int, int, float]]:
+    """Return steps, columns and speeds where a column of speeds (T - 1, C) jumps; the fastest of each step."""
     found = []
-    for k in np.flatnonzero((speed > config.jump_speed_m_s).any(axis=1)):
+    for k in np.flatnonzero((speed > limit).any(axis=1)):
         around = np.median(speed[max(0, k - 5) : k + 6], axis=0)
-        isolated = np.logical_and(speed[k] > config.jump_speed_m_s, speed[k] > config.jump_isolation * around)
+        isolated = np.logical_and(speed[k] > limit, speed[k] > config.jump_isolation * around)
         if isolated.any():
             fastest = int(np.argmax(np.where(isolated, speed[k], 0.0)))
-            found.append(Jump(role, int(k) + 1, WATCHED_LINKS[fastest], float(speed[k, fastest])))
-    return tuple(found)
+            found.append((int(k), fastest, float(speed[k, fastest])))
+    return found
 
 
 def _motion(name: str, t_s: FloatArray, q: FloatArray, dof_names: tuple[str, ...]) -> Motion:
@@ -206,6 +242,18 @@ def _motion(name: str, t_s: FloatArray, q: FloatArray, dof_names: tuple[str, ...
         return Motion(t_s - t_s[0], q, dof_names, frame_id=FRAME_ID)
     except MotionError as trouble:
         raise MotionError(f"{name}: {str(trouble).removeprefix('-/0: ')}; correct or remove the recording") from trouble
+
+
+def _first_turn(motion: Motion) -> tuple[Motion, list[str]]:
+    """Return the motion with angles that begin within half a turn of zero, so that recordings can be compared."""
+    first = motion.q[0]
+    turns = np.array([round(q / (2.0 * np.pi)) if is_angle(name) and abs(q) > np.pi + 1e-9 else 0
+                      for name, q in zip(motion.dof_names, first, strict=True)])  # fmt: skip
+    if not turns.any():
+        return motion, []
+    said = [f"{motion.dof_names[d]} begins at {first[d]:.2f} rad, taken as {first[d] - 2.0 * np.pi * turns[d]:.2f}"
+            for d in np.flatnonzero(turns)]  # fmt: skip
+    return motion.with_postures(motion.q - 2.0 * np.pi * turns), said
 
 
 def _wraps(before: Motion, after: Motion) -> list[str]:
@@ -220,37 +268,3 @@ def _gaps(motion: Motion, config: ReachRecordingConfig) -> list[str]:
     step = np.diff(motion.t_s)
     late = np.flatnonzero(step > config.gap_factor * np.median(step))
     return [f"{1e3 * step[k]:.0f} ms without a frame before frame {int(k) + 1}" for k in late]
-
-
-def _read(name: str, role: str, path: Path, dof_names: Sequence[str]) -> FloatArray:
-    """Return the stamps and DoFs (T, 1 + D) of one file, in the order of `dof_names`."""
-    where = f"recording {name}, {role} ({path})"
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = [row for row in csv.reader(stream) if row]
-    except (OSError, UnicodeDecodeError, csv.Error) as trouble:
-        raise LibraryFormatError(f"{where}: cannot be read as CSV ({trouble})") from trouble
-    header = [title.strip() for title in rows[0]] if rows else []
-    wanted = ["t", *dof_names]
-    if lacking := [title for title in wanted if title not in header]:
-        raise LibraryFormatError(
-            f"{where}: wanted the columns t and the {len(dof_names)} DoFs, got no {', '.join(lacking)}; add them"
-        )
-    columns = [header.index(title) for title in wanted]
-    table = np.empty((len(rows) - 1, len(wanted)))
-    for frame, row in enumerate(rows[1:]):
-        try:
-            table[frame] = [float(row[column]) for column in columns]
-        except (ValueError, IndexError) as trouble:
-            raise LibraryFormatError(
-                f"{where}: wanted {len(header)} numbers in a row, got {len(row)} fields at frame {frame} ({trouble})"
-            ) from trouble
-    if len(table) < 2:
-        raise LibraryFormatError(f"{where}: wanted at least 2 frames, got {len(table)}")
-    if not np.isfinite(table).all():
-        frame, column = (int(i) for i in np.argwhere(~np.isfinite(table))[0])
-        raise LibraryFormatError(
-            f"{where}: wanted finite numbers, got {table[frame, column]} for {wanted[column]} at frame {frame}; "
-            "fill or cut the gap first"
-        )
-    return table

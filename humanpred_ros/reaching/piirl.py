@@ -12,7 +12,9 @@ and does not overflow.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,13 +23,16 @@ from scipy.optimize import minimize
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import MotionError, UsageError
 from humanpred_ros.reaching import loss_kernels
+from humanpred_ros.reaching.collisions import ReachCollisions, Touch
 from humanpred_ros.reaching.features import N_FEATURES, ReachFeatures
-from humanpred_ros.reaching.sampling import Collides, SamplingConfig, sample_around
+from humanpred_ros.reaching.sampling import SamplingConfig, sample_around
 from humanpred_ros.reaching.splitting import Demonstration
 
 LOSSES = ("paper", "coded")
 #: A weight this close to a bound (relative to `upper`) is reported to be there.
 _AT_BOUND = 1e-6
+#: Demonstrations whose samples are drawn at a time, each with some 100 MB.
+_THREADS = 4
 
 
 @dataclass(frozen=True)
@@ -56,8 +61,11 @@ class PiirlConfig:
     def __post_init__(self) -> None:
         if self.loss not in LOSSES:
             raise UsageError(f"learning: wanted a loss of {', '.join(LOSSES)}, got {self.loss!r}")
-        if not self.upper > 0.0 or self.l1 < 0.0 or self.l2 < 0.0:
-            raise UsageError(f"learning: wanted upper > 0 and penalties >= 0, got {self.upper}, {self.l1}, {self.l2}")
+        # Without a finite bound the losses fall without end where weights separate the data.
+        if not (0.0 < self.upper < np.inf and 0.0 <= self.l1 < np.inf and 0.0 <= self.l2 < np.inf):
+            raise UsageError(
+                f"learning: wanted a finite upper > 0 and penalties >= 0, got {self.upper}, {self.l1}, {self.l2}"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,11 +76,15 @@ class Contrast:
         demonstration: its name.
         recording: the recording it is from.
         differences: (K, 24) features of its samples less its own.
+        discarded: how many samples more were drawn, which collided.
+        touches: where the demonstration itself is in something, the deepest first.
     """
 
     demonstration: str
     recording: str
     differences: FloatArray
+    discarded: int = 0
+    touches: tuple[Touch, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,19 +109,33 @@ def contrasts(
     features: ReachFeatures,
     sampling: SamplingConfig,
     rng: np.random.Generator,
-    collides: Collides | None = None,
+    collisions: ReachCollisions | None = None,
 ) -> tuple[Contrast, ...]:
     """Return samples' features for every demonstration; they depend on nothing that is learned, so draw them once.
+
+    Each demonstration draws from a generator of its own, so that neither threads nor others' collisions change it.
+
+    Args:
+        demos: what was done.
+        features: of whom and how.
+        sampling: what it is told apart from.
+        rng: source of all chance.
+        collisions: what no sample may run into; None if all are possible.
 
     Raises:
         MotionError: all samples around a demonstration collide.
     """
-    found = []
-    for demo in demos:
-        samples = sample_around(demo, sampling, rng, collides)
-        own = features.values(demo.q, demo.situation)
-        found.append(Contrast(demo.name, demo.recording, features.values(samples, demo.situation) - own))
-    return tuple(found)
+
+    def contrast(demo: Demonstration, source: np.random.Generator) -> Contrast:
+        collides = None if collisions is None else collisions.beside(demo)
+        samples = sample_around(demo, sampling, source, collides)
+        differences = features.values(samples.q, demo.situation) - features.values(demo.q, demo.situation)
+        touches = () if collides is None else collides.touches
+        return Contrast(demo.name, demo.recording, differences, samples.collided, touches)
+
+    # Nearly all of the work is in compiled loops, which let other threads run.
+    with ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1)) as pool:
+        return tuple(pool.map(contrast, demos, rng.spawn(len(demos))))
 
 
 def learn_weights(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from humanpred_ros.checks import FloatArray, checked, frozen
-from humanpred_ros.errors import MotionError
+from humanpred_ros.errors import GoalUnreachableError, MotionError, UsageError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
 
@@ -21,11 +21,23 @@ class BoundsConfig:
         translation_m: of all translations: pelvis, shoulder, lengths of the bones.
         pelvis_rad: of the pelvis' rotations.
         rotation_rad: of all other rotations; None leaves them free, as P2 does.
+        out_of_reach: a goal that is so far beyond its bounds, in metres or radians, is one that nobody reaches from
+            where demonstrations happened; people on both sides of P2's table differ by up to 0.9 m and 1.8 rad.
+
+    Raises:
+        UsageError: margins that are not positive.
     """
 
     translation_m: float = 0.02
     pelvis_rad: float = 0.05
     rotation_rad: float | None = None
+    out_of_reach: float = 2.0
+
+    def __post_init__(self) -> None:
+        margins = [self.translation_m, self.pelvis_rad, self.out_of_reach]
+        margins += [] if self.rotation_rad is None else [self.rotation_rad]
+        if not all(np.isfinite(margin) and margin > 0.0 for margin in margins):
+            raise UsageError(f"posture bounds: wanted positive margins, got {', '.join(map(str, margins))}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +47,8 @@ class PostureBounds:
     Attributes:
         lower, upper: (J,) metres and radians.
         free: (J,) rotations without bounds; theirs are half a turn to each side of the reach.
+        dof_names: J names, for messages; none if left out.
+        out_of_reach: how far beyond its bounds a goal is not believed, in metres or radians.
 
     Raises:
         MotionError: arrays that do not fit each other.
@@ -43,6 +57,8 @@ class PostureBounds:
     lower: FloatArray
     upper: FloatArray
     free: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    dof_names: tuple[str, ...] = ()
+    out_of_reach: float = BoundsConfig.out_of_reach
 
     def __post_init__(self) -> None:
         lower = checked("lower bounds", self.lower, ("J",), error=MotionError)
@@ -76,7 +92,7 @@ class PostureBounds:
         if config.rotation_rad is not None:
             margin = np.where(slides | pelvis, margin, config.rotation_rad)
         margin = np.where(free, np.pi, margin)
-        return cls(q.min(axis=0) - margin, q.max(axis=0) + margin, free)
+        return cls(q.min(axis=0) - margin, q.max(axis=0) + margin, free, model.dof_names, config.out_of_reach)
 
     def around(self, start: FloatArray, goal: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper bounds (J,) of a reach: both ends are allowed, wherever they are.
@@ -87,3 +103,27 @@ class PostureBounds:
         lower = np.where(self.free, low - np.pi, np.minimum(self.lower, low))
         upper = np.where(self.free, high + np.pi, np.maximum(self.upper, high))
         return lower, upper
+
+    def check_goal(self, name: str, goal: FloatArray) -> tuple[str, ...]:
+        """Return sentences on the DoFs of a goal (J,) that are beyond the bounds, each with the reach's name.
+
+        `around` lets bounds give way to such a goal, so that what a person did can be predicted; who asks for the
+        prediction should know.
+
+        Raises:
+            GoalUnreachableError: a goal much farther away than demonstrations went.
+            MotionError: a goal of another shape.
+        """
+        q = checked(f"{name}: goal", goal, (len(self.lower),), error=MotionError)
+        beyond = np.where(self.free, 0.0, np.maximum(self.lower - q, q - self.upper))
+        said = []
+        for d in np.flatnonzero(beyond > 0.0):
+            dof = self.dof_names[d] if self.dof_names else f"DoF {d}"
+            text = f"{name}: goal with {dof} {q[d]:.3f}, demonstrations stay within {self.lower[d]:.3f} to "
+            text += f"{self.upper[d]:.3f}"
+            if beyond[d] > self.out_of_reach:
+                raise GoalUnreachableError(
+                    f"{text}; wanted a goal within reach, check frame and units or learn from reaches to there"
+                )
+            said.append(f"{text}; bounds are widened for it")
+        return tuple(said)

@@ -57,7 +57,7 @@ class ReachScene:
         for name in ("lower_m", "upper_m"):
             value = checked(f"reach scene: {name}", getattr(self, name), (3,), error=SceneError)
             object.__setattr__(self, name, frozen(value))
-        if not (self.upper_m > self.lower_m).all() or not self.resolution_m > 0.0:
+        if not (self.upper_m > self.lower_m).all() or not 0.0 < self.resolution_m < np.inf:
             raise SceneError(
                 f"reach scene: wanted a region with lower < upper and a positive resolution, got {self.lower_m}, "
                 f"{self.upper_m} and {self.resolution_m}"

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from humanpred_ros.checks import FloatArray, frozen
-from humanpred_ros.errors import MotionError
+from humanpred_ros.errors import MotionError, UsageError
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import ACTIVE, ReachRecording
 from humanpred_ros.reaching.features import ReachFeatures, ReachSituation
@@ -28,11 +28,20 @@ class SplittingConfig:
         first_s: the first cut, one frame at 100 Hz as in the authors' code.
         every_s: between cuts.
         least_s: a cut that leaves fewer frames than this lasts is not made (P2's code: 80 frames).
+
+    Raises:
+        UsageError: times that are not positive.
     """
 
     first_s: float = 0.01
     every_s: float = 0.10
     least_s: float = 0.80
+
+    def __post_init__(self) -> None:
+        if not all(np.isfinite(span) and span > 0.0 for span in (self.first_s, self.every_s, self.least_s)):
+            raise UsageError(
+                f"splitting: wanted positive times in seconds, got {self.first_s}, {self.every_s} and {self.least_s}"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +53,14 @@ class Demonstration:
         first_frame: frame of the recording it begins at, 0 for a whole reach.
         q: (N, J) postures.
         situation: duration, partner at the first frame, and the way there.
+        partner: (J,) posture of the partner at the first frame; None if nobody is there.
     """
 
     recording: str
     first_frame: int
     q: FloatArray
     situation: ReachSituation
+    partner: FloatArray | None = None
 
     @property
     def name(self) -> str:
@@ -64,7 +75,9 @@ def demonstration(recording: ReachRecording, features: ReachFeatures, first_fram
 
     Raises:
         MotionError: a frame outside, or one that leaves less than two frames.
+        HumanModelError: a recording of another human.
     """
+    features.model.check_dofs(recording.active.dof_names)
     active, N = recording.active, features.config.n_waypoints
     if not 0 <= first_frame <= len(active) - 2:
         raise MotionError(f"{recording.name}: wanted a cut at frame 0 to {len(active) - 2}, got {first_frame}")
@@ -76,7 +89,8 @@ def demonstration(recording: ReachRecording, features: ReachFeatures, first_fram
     partner = features.link_points(recording.passive.q[first_frame])
     postures = _at(active, np.linspace(begin_s, end_s, N))
     situation = ReachSituation(end_s - begin_s, partner, history)
-    return Demonstration(recording.name, first_frame, frozen(postures), situation)  # type: ignore[arg-type]
+    beside = recording.passive.q[first_frame]
+    return Demonstration(recording.name, first_frame, frozen(postures), situation, beside)  # type: ignore[arg-type]
 
 
 def cut_frames(motion: Motion, config: SplittingConfig | None = None) -> list[int]:
@@ -102,20 +116,22 @@ def demonstrations(
         features: settings of the resampling, and the human.
         splitting: where to cut; None for whole reaches only.
         keep_unfit: learn from recordings with jumps, too. Without it they are left out, but for parts after the jump.
+            Recordings shorter than the jerk's difference are left out in any case.
     """
     found = []
     for recording in recordings:
         frames = [0, *(cut_frames(recording.active, splitting) if splitting else [])]
         for frame in frames:
+            if len(recording.active) - frame < recording.least_frames:
+                continue
             demo = demonstration(recording, features, frame)
-            if keep_unfit or _fit(recording, demo):
+            if keep_unfit or _steady(recording, demo):
                 found.append(demo)
     return tuple(found)
 
 
-def _fit(recording: ReachRecording, demo: Demonstration) -> bool:
-    if len(recording.active) - demo.first_frame < recording.least_frames:
-        return False
+def _steady(recording: ReachRecording, demo: Demonstration) -> bool:
+    """Return whether no jump is in the demonstration or in what it remembers of the way there."""
     t_s = recording.active.t_s
     step_s = demo.situation.duration_s / (len(demo.q) - 1)
     seen_s = t_s[demo.first_frame] - (PADDING * step_s if demo.first_frame else 0.0)

@@ -15,6 +15,7 @@ from scipy.linalg import cholesky_banded, solveh_banded
 
 from humanpred_ros.checks import FloatArray, frozen
 from humanpred_ros.errors import MotionError
+from humanpred_ros.reaching.sampling_kernels import solve_upper
 
 #: First, second and third difference over offsets -3..+3, in units of dt.
 VELOCITY_RULE = tuple(c / 6.0 for c in (0.0, 0.0, -2.0, -3.0, 6.0, -1.0, 0.0))
@@ -58,14 +59,10 @@ class JerkCovariance:
 
     def draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
         """Return smooth noise (R, N, L) of unit scale for `shape` (R, L): x = U^-1 z."""
-        from scipy.linalg.lapack import dtbtrs
-
         rows, width = shape
         white = rng.standard_normal((self.n_waypoints, rows * width))
-        smooth, failed = dtbtrs(self.factor, white, uplo="U")
-        if failed:
-            raise MotionError(f"sampling: wanted a regular R for {self.n_waypoints} waypoints, it is not")
-        drawn: FloatArray = smooth.reshape(self.n_waypoints, rows, width).transpose(1, 0, 2)
+        drawn = np.empty((rows, self.n_waypoints, width))
+        solve_upper(self.factor, white, drawn)
         return drawn
 
 

@@ -68,6 +68,20 @@ def test_angles_that_wrap_are_unwrapped_and_noted(folder: Path) -> None:
     assert found.usable_for_learning
 
 
+def test_angles_a_whole_turn_away_are_taken_for_what_they_are(folder: Path) -> None:
+    _, active, _ = reach(1)
+    column = MODEL.dof_names.index("PelvisRotZ")
+    for turns in (-2, 1):
+        turned = active.copy()
+        turned[:, column] += 2.0 * np.pi * turns
+        rewrite(folder, "b", "active", q=turned)
+        found = one(folder)
+        np.testing.assert_allclose(found.active.q, active, atol=1e-12)
+        (note,) = found.notes
+        assert note.startswith("active: PelvisRotZ begins at ")
+        assert found.usable_for_learning
+
+
 @pytest.mark.parametrize("dof", ["rForeArmTrans", "rWristX"])
 def test_a_jump_is_marked_kept_and_not_learned_from(folder: Path, dof: str) -> None:
     _, active, _ = reach(1)
@@ -80,6 +94,8 @@ def test_a_jump_is_marked_kept_and_not_learned_from(folder: Path, dof: str) -> N
     assert found.unfit is not None
     assert found.unfit.startswith("b: ")
     assert "frame 70" in found.unfit
+    assert "1 more" in found.unfit
+    assert any(note.startswith("active: ") and "frame 70" in note for note in found.notes)
     np.testing.assert_array_equal(found.active.q, jumping)
 
 
@@ -90,6 +106,45 @@ def test_a_jump_of_the_partner_is_marked_only(folder: Path) -> None:
     found = one(folder)
     assert [(jump.role, jump.frame) for jump in found.jumps] == [("passive", 70)]
     assert found.usable_for_learning
+
+
+def test_a_hand_that_spins_for_one_frame_is_a_jump_though_no_link_moves(folder: Path) -> None:
+    """The palm lies on the axis of rWristY."""
+    _, active, _ = reach(1)
+    active[70, MODEL.dof_names.index("rWristY")] += 1.2
+    rewrite(folder, "b", "active", q=active)
+    found = one(folder)
+    assert [(jump.frame, jump.what, jump.unit) for jump in found.jumps] == [
+        (70, "rWristY", "rad/s"), (71, "rWristY", "rad/s"),
+    ]  # fmt: skip
+    assert not found.usable_for_learning
+
+
+def test_angles_that_flip_to_others_of_the_same_posture_are_a_jump(folder: Path) -> None:
+    """Two sets of three angles say one rotation; unwrapping by whole turns does not mend that."""
+    _, active, _ = reach(1)
+    flipped = active.copy()
+    first = MODEL.dof_names.index("rShoulderY1")
+    flipped[50:, first] += np.pi - 0.01
+    flipped[50:, first + 1] *= -1.0
+    flipped[50:, first + 2] += np.pi - 0.01
+    same, other = (MODEL.forward(q)["right_wrist"][60] for q in (active, flipped))
+    assert np.linalg.norm(same - other) < 0.02
+    rewrite(folder, "b", "active", q=flipped)
+    found = one(folder)
+    assert {(jump.frame, jump.unit) for jump in found.jumps} == {(50, "rad/s")}
+    assert not found.usable_for_learning
+
+
+@pytest.mark.parametrize(("frame", "count"), [(1, 2), (50, 2), (99, 1)])
+def test_glitches_at_the_ends_are_found_as_well(folder: Path, frame: int, count: int) -> None:
+    _, active, _ = reach(1)
+    active[frame, MODEL.dof_names.index("rForeArmTrans")] += 0.07  # 7 m/s
+    rewrite(folder, "b", "active", q=active)
+    found = one(folder)
+    assert len(found.jumps) == count
+    assert found.jumps[0].frame == frame
+    assert found.jumps[0].speed == pytest.approx(7.0, abs=1.5)
 
 
 def test_a_fast_person_is_not_a_jump(folder: Path) -> None:
@@ -179,6 +234,78 @@ def test_rows_of_words_and_single_frames_are_refused(folder: Path) -> None:
         load_reach_recordings(folder)
 
 
+def test_one_person_recorded_as_two_is_refused(folder: Path) -> None:
+    (folder / "b_passive.csv").write_text((folder / "b_active.csv").read_text())
+    with pytest.raises(MotionError, match="recording b: wanted two people"):
+        load_reach_recordings(folder)
+
+
+def test_swapped_people_are_noted(folder: Path) -> None:
+    files = [folder / f"b_{role}.csv" for role in ("active", "passive")]
+    texts = [file.read_text() for file in files]
+    for file, text in zip(files, reversed(texts), strict=True):
+        file.write_text(text)
+    (note,) = one(folder).notes
+    assert "swapped" in note
+    assert one(folder, "a").notes == ()
+
+
+def test_somebody_who_does_not_reach_is_noted(folder: Path) -> None:
+    t_s, active, passive = reach(1)
+    for role, q in (("active", active), ("passive", passive)):
+        rewrite(folder, "b", role, q=np.repeat(q[:1], len(t_s), axis=0))
+    assert any("goes only 0.00 m" in note for note in one(folder).notes)
+
+
+def test_units_are_checked_in_both_files(folder: Path) -> None:
+    _, _, passive = reach(1)
+    angles = np.array(["Trans" not in name for name in MODEL.dof_names])
+    rewrite(folder, "b", "passive", q=np.where(angles, np.rad2deg(passive), passive))
+    with pytest.raises(MotionError, match=r"recording b, passive: .*degrees"):
+        load_reach_recordings(folder)
+
+
+def test_a_recording_without_a_name_is_refused(folder: Path) -> None:
+    write_recording(folder, "", 3)
+    with pytest.raises(LibraryFormatError, match="without a name"):
+        load_reach_recordings(folder)
+
+
+@pytest.mark.parametrize("step_s", [-0.01, 0.0])
+def test_stamps_of_both_people_must_increase_from_the_first_frame(folder: Path, step_s: float) -> None:
+    t_s = step_s * np.arange(100)
+    for role in ("active", "passive"):
+        rewrite(folder, "b", role, t_s=t_s)
+    with pytest.raises(MotionError, match=r"recording b, active: wanted increasing stamps.*frame 1"):
+        load_reach_recordings(folder)
+
+
+def test_the_partners_stamps_must_increase_too(folder: Path) -> None:
+    """Within the tolerance of synchrony, but going back."""
+    t_s, _, _ = reach(1)
+    t_s *= 0.1  # 1 ms apart
+    rewrite(folder, "b", "active", t_s=t_s)
+    swapped = t_s.copy()
+    swapped[[50, 51]] = swapped[[51, 50]]
+    rewrite(folder, "b", "passive", t_s=swapped)
+    with pytest.raises(MotionError, match=r"recording b, passive: wanted increasing stamps.*frame 51"):
+        load_reach_recordings(folder)
+
+
+def test_stamps_may_count_from_anywhere(folder: Path) -> None:
+    t_s, _, _ = reach(1)
+    for role in ("active", "passive"):
+        rewrite(folder, "b", role, t_s=1.7e9 + t_s)
+    np.testing.assert_allclose(one(folder).active.t_s, t_s, atol=1e-6)
+
+
+def test_people_who_drift_apart_in_time_are_refused(folder: Path) -> None:
+    t_s, _, _ = reach(1)
+    rewrite(folder, "b", "passive", t_s=1.01 * t_s)
+    with pytest.raises(MotionError, match=r"recording b: .*same times, at frame 31"):
+        load_reach_recordings(folder)
+
+
 def test_empty_and_missing_folders_are_refused(tmp_path: Path) -> None:
     with pytest.raises(LibraryFormatError, match="found none"):
         load_reach_recordings(tmp_path)
@@ -194,7 +321,10 @@ def test_the_papers_recordings_are_read_and_the_glitch_is_found() -> None:
     )
     assert [entry.name for entry in found if not entry.usable_for_learning] == ["0444-0585"]
     (jump,) = (jump for entry in found for jump in entry.jumps if jump.role == "active")
-    assert (jump.frame, jump.link) == (130, "right_wrist")
-    assert jump.speed_m_s == pytest.approx(7.0, abs=0.1)
+    assert (jump.frame, jump.what, jump.unit) == (130, "right_wrist", "m/s")
+    assert jump.speed == pytest.approx(7.0, abs=0.1)
+    fast = [jump.speed for entry in found for jump in entry.jumps if jump.unit == "m/s"]
+    assert min(fast) > 3.5
+    assert not any("swapped" in note for entry in found for note in entry.notes)
     partners = {entry.name for entry in found if any(jump.role == "passive" for jump in entry.jumps)}
     assert partners == {"0446-0578", "0525-0657", "2711-2823"}

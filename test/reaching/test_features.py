@@ -6,8 +6,10 @@ import csv
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from paths import shared_data
-from reaching_people import MODEL, recording
+from reaching_people import MODEL, START, recording
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import ArrayError, HumanPredError, MotionError
@@ -101,6 +103,49 @@ def test_gradients_are_those_of_finite_differences(feature: int, history: bool) 
         assert (gradient[0] * direction).sum() == pytest.approx(
             (ahead - behind) / (2.0 * h), rel=1e-4, abs=1e-6 * costs[0]
         )
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.booleans(), st.floats(0.3, 5.0))
+def test_gradients_hold_for_any_reach_partner_and_duration(seed: int, history: bool, duration_s: float) -> None:
+    """Reaches far from smooth, partners near and far, along a direction that moves all waypoints."""
+    rng = np.random.default_rng(seed)
+    small = ReachFeatures(MODEL, FeatureConfig(n_waypoints=12))
+    q = START + np.cumsum(0.05 * rng.normal(size=(12, 23)), axis=0)
+    partner = small.link_points(q[6]) + rng.uniform(0.02, 0.5) * rng.normal(size=(4, 3))
+    situation = ReachSituation(duration_s, partner, q[0] + 0.05 * rng.normal(size=(PADDING, 23)) if history else None)
+    # At the cutoff the closeness ends with a small step, which has no derivative.
+    apart = np.linalg.norm(small.link_points(q)[:, :, None] - partner, axis=-1)
+    assume(np.abs(apart - small.config.closeness_cutoff_m).min() > 1e-3)
+    assume(apart.min() > 1e-3)
+    # Every feature has its say: each weight is one over its feature's value.
+    values = small.values(q, situation)
+    weights = rng.random(N_FEATURES) / np.maximum(values, 1e-9)
+    direction = rng.normal(size=q.shape)
+    costs, gradient = small.cost_gradient(q[None], weights, situation)
+    h = 1e-6
+    ahead, behind = (small.values(q + s * h * direction, situation) @ weights for s in (1, -1))
+    assert (gradient[0] * direction).sum() == pytest.approx((ahead - behind) / (2.0 * h), rel=1e-5, abs=1e-5 * costs[0])
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.2, 5.0))
+def test_features_follow_from_the_way_and_not_from_where_it_happens(seed: int, factor: float) -> None:
+    rng = np.random.default_rng(seed)
+    small = ReachFeatures(MODEL, FeatureConfig(n_waypoints=12))
+    q = START + np.cumsum(0.05 * rng.normal(size=(12, 23)), axis=0)
+    partner = small.link_points(q[6]) + 0.3 * rng.normal(size=(4, 3))
+    values = small.values(q, ReachSituation(1.0, partner))
+    assert (values >= 0.0).all()
+    # Somewhere else in the room, with the partner.
+    step = rng.normal(size=3)
+    np.testing.assert_allclose(
+        small.values(q + np.concatenate([step, np.zeros(20)]), ReachSituation(1.0, partner + step)), values, rtol=1e-6
+    )
+    # In another time: velocity, acceleration and jerk squared, and the time spent near the partner.
+    slower = small.values(q, ReachSituation(factor, partner))
+    powers = np.array([0, -2, -4, -6] * 2 + [1] * 16)
+    np.testing.assert_allclose(slower, values * factor**powers, rtol=1e-9)
 
 
 def test_gradients_of_a_batch_and_of_all_features_add_up() -> None:

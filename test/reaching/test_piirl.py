@@ -4,21 +4,39 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from reaching_people import MODEL, recording
 from scipy.optimize import minimize
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import MotionError, UsageError
 from humanpred_ros.reaching.features import N_FEATURES, FeatureConfig, ReachFeatures
-from humanpred_ros.reaching.piirl import Contrast, PiirlConfig, contrasts, learn_weights, loss_gradient
+from humanpred_ros.reaching.piirl import (
+    LOSSES,
+    Contrast,
+    PiirlConfig,
+    PiirlSolution,
+    contrasts,
+    learn_weights,
+    loss_gradient,
+)
 from humanpred_ros.reaching.sampling import SamplingConfig
 from humanpred_ros.reaching.splitting import Demonstration, demonstration
 
-CONFIGS = (
+#: Both losses, with and without the demonstration, and every choice of penalties.
+CONFIGS = tuple(
+    PiirlConfig(loss=loss, with_demonstration=own, l1=l1, l2=l2)
+    for loss in LOSSES
+    for own in (False, True)
+    for l1, l2 in ((0.0, 0.0), (0.01, 0.0), (0.0, 0.02), (0.01, 0.02))
+)
+#: Of those, some that the solver is tried on.
+SOLVED = (
     PiirlConfig(),
     PiirlConfig(loss="coded"),
     PiirlConfig(with_demonstration=True, l1=0.01, l2=0.02),
-    PiirlConfig(loss="coded", with_demonstration=True, l2=0.02),
+    PiirlConfig(loss="coded", l1=0.01),
 )
 
 
@@ -44,6 +62,48 @@ def test_gradients_are_those_of_finite_differences(config: PiirlConfig) -> None:
     np.testing.assert_allclose(gradient, numeric, rtol=1e-6, atol=1e-6 * np.abs(gradient).max())
 
 
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(CONFIGS))
+def test_gradients_hold_for_any_blocks_and_weights(seed: int, config: PiirlConfig) -> None:
+    """Blocks of any lengths, differences of any size and sign, weights at their lower bound and far up."""
+    rng = np.random.default_rng(seed)
+    size = 10.0 ** rng.uniform(-6.0, 2.0, N_FEATURES)
+    blocks = [size * (rng.normal() + rng.normal(size=(n, N_FEATURES))) for n in rng.integers(1, 30, rng.integers(1, 5))]
+    w = np.where(rng.random(N_FEATURES) < 0.3, 0.0, 10.0 ** rng.uniform(-2.0, 1.0, N_FEATURES) / size)
+    direction = rng.normal(size=N_FEATURES) / size
+    loss, gradient = loss_gradient(w, blocks, config)
+    h = 1e-5
+    ahead, behind = (loss_gradient(w + s * h * direction, blocks, config)[0] for s in (1, -1))
+    assert np.isfinite(loss)
+    assert gradient @ direction == pytest.approx(
+        (ahead - behind) / (2.0 * h), rel=1e-4, abs=1e-6 * (1.0 + abs(loss) + np.abs(gradient * direction).max())
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(CONFIGS), st.floats(0.0, 1.0))
+def test_losses_lie_below_their_chords_and_above_their_tangents(seed: int, config: PiirlConfig, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    blocks = [rng.normal(size=(20, N_FEATURES)) for _ in range(3)]
+    a, b = 10.0 ** rng.uniform(-2.0, 2.0) * rng.random((2, N_FEATURES))
+    (at_a, slope), (at_b, _) = (loss_gradient(w, blocks, config) for w in (a, b))
+    between = loss_gradient((1.0 - share) * a + share * b, blocks, config)[0]
+    slack = 1e-9 * (1.0 + abs(at_a) + abs(at_b))
+    assert between <= (1.0 - share) * at_a + share * at_b + slack
+    assert at_b >= at_a + slope @ (b - a) - slack
+
+
+def test_enormous_differences_neither_overflow_nor_vanish() -> None:
+    blocks = [np.full((3, N_FEATURES), value) for value in (-1e6, 1e6)]
+    w = np.full(N_FEATURES, 300.0)
+    for config in CONFIGS:
+        loss, gradient = loss_gradient(w, blocks, config)
+        assert np.isfinite(loss)
+        assert np.isfinite(gradient).all()
+        if config.loss == "coded" or config.with_demonstration:
+            assert (gradient > 0.0).all()  # who was worse than all samples is to be told apart no more
+
+
 @pytest.mark.parametrize("config", CONFIGS)
 def test_losses_are_convex(config: PiirlConfig) -> None:
     blocks = [contrast.differences for contrast in made_up()]
@@ -62,9 +122,13 @@ def test_losses_are_what_the_paper_and_the_code_say() -> None:
     assert loss_gradient(w, blocks, PiirlConfig(loss="coded"))[0] == pytest.approx(3.0 * np.log(np.sum(sums)))
     both = loss_gradient(w, blocks, PiirlConfig(with_demonstration=True))[0]
     assert both == pytest.approx(np.log(1.0 + np.array(sums)).sum())
+    together = loss_gradient(w, blocks, PiirlConfig(loss="coded", with_demonstration=True))[0]
+    assert together == pytest.approx(3.0 * np.log(1.0 + np.sum(sums)))
+    fined = loss_gradient(w, blocks, PiirlConfig(l1=0.2, l2=0.4))[0]
+    assert fined == pytest.approx(np.log(sums).sum() + 3.0 * (0.2 * w.sum() + 0.2 * (w**2).sum()))
 
 
-@pytest.mark.parametrize("config", CONFIGS)
+@pytest.mark.parametrize("config", SOLVED)
 def test_the_solution_is_optimal_within_its_bounds(config: PiirlConfig) -> None:
     found = made_up(shift=0.15)
     solution = learn_weights(found, config)
@@ -85,6 +149,19 @@ def test_separable_demonstrations_drive_weights_to_their_bound_and_it_is_reporte
     solution = learn_weights(found, PiirlConfig(upper=7.0))
     assert solution.at_upper.all()
     np.testing.assert_allclose(solution.weights, 7.0)
+
+
+def test_only_what_is_stopped_from_above_is_reported() -> None:
+    """One feature tells the demonstration from its samples, one speaks against it, the others say nothing."""
+    differences = np.zeros((50, N_FEATURES))
+    rng = np.random.default_rng(0)
+    differences[:, 3] = rng.uniform(0.1, 1.0, 50)
+    differences[:, 9] = -rng.uniform(0.1, 1.0, 50)
+    for config in (PiirlConfig(upper=5.0), PiirlConfig(upper=5.0, normalised=True)):
+        solution: PiirlSolution = learn_weights([Contrast("d", "r", differences)], config)
+        assert np.flatnonzero(solution.at_upper).tolist() == [3]
+        assert solution.weights[9] == 0.0
+        assert np.isfinite(solution.weights).all()
 
 
 def test_normalised_features_do_not_depend_on_their_scale() -> None:
@@ -157,7 +234,7 @@ def test_nothing_to_learn_from_is_refused() -> None:
         learn_weights([])
 
 
-@pytest.mark.parametrize("bad", [{"loss": "hinge"}, {"upper": 0.0}, {"l2": -1.0}])
+@pytest.mark.parametrize("bad", [{"loss": "hinge"}, {"upper": 0.0}, {"upper": np.inf}, {"l2": -1.0}, {"l1": np.nan}])
 def test_impossible_settings_are_refused(bad: dict[str, object]) -> None:
     with pytest.raises(UsageError, match="learning"):
         PiirlConfig(**bad)  # type: ignore[arg-type]

@@ -7,7 +7,7 @@ import pytest
 from paths import shared_data
 from reaching_people import GOAL, MODEL, START, recording
 
-from humanpred_ros.errors import MotionError
+from humanpred_ros.errors import GoalUnreachableError, MotionError, UsageError
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
 from humanpred_ros.reaching.posture_bounds import BoundsConfig, PostureBounds
 
@@ -77,3 +77,44 @@ def test_bad_input_is_refused() -> None:
         PostureBounds.from_recordings([], MODEL)
     with pytest.raises(MotionError, match="lower < upper"):
         PostureBounds(np.ones(3), np.zeros(3), np.zeros(3, dtype=np.bool_))
+
+
+def test_goals_beyond_the_demonstrations_are_told_by_name() -> None:
+    bounds = PostureBounds.from_recordings(RECORDINGS, MODEL)
+    assert bounds.check_goal("r", GOAL) == ()
+    goal = GOAL.copy()
+    goal[COLUMN["rForeArmTrans"]] += 0.1
+    goal[COLUMN["PelvisRotZ"]] -= 0.9
+    goal[COLUMN["rElbowZ"]] += 3.0  # a free rotation
+    said = bounds.check_goal("r", goal)
+    assert [text.split(",")[0] for text in said] == [
+        "r: goal with PelvisRotZ 1.300",
+        "r: goal with rForeArmTrans 0.345",
+    ]
+    assert all("bounds are widened for it" in text for text in said)
+
+
+def test_goals_out_of_reach_are_refused_by_name() -> None:
+    bounds = PostureBounds.from_recordings(RECORDINGS, MODEL)
+    goal = GOAL.copy()
+    goal[0] += 3.0
+    with pytest.raises(GoalUnreachableError, match=r"made_up: goal with PelvisTransX 5.050.*within reach"):
+        bounds.check_goal("made_up", goal)
+    wide = PostureBounds.from_recordings(RECORDINGS, MODEL, BoundsConfig(out_of_reach=4.0))
+    assert len(wide.check_goal("made_up", goal)) == 1
+    with pytest.raises(MotionError, match="made_up: goal"):
+        bounds.check_goal("made_up", goal[:5])
+
+
+def test_goals_of_p2s_recordings_are_within_reach_of_the_others() -> None:
+    recordings = load_reach_recordings(shared_data("icra2015/demos"))
+    for left_out in recordings:
+        others = [entry for entry in recordings if entry.name != left_out.name]
+        bounds = PostureBounds.from_recordings(others, MODEL)
+        assert len(bounds.check_goal(left_out.name, left_out.active.q[-1])) <= 1
+
+
+@pytest.mark.parametrize("bad", [{"translation_m": 0.0}, {"pelvis_rad": np.nan}, {"rotation_rad": -0.1}])
+def test_impossible_margins_are_refused(bad: dict[str, float]) -> None:
+    with pytest.raises(UsageError, match="posture bounds"):
+        BoundsConfig(**bad)  # type: ignore[arg-type]

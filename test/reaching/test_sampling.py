@@ -22,13 +22,29 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(4)
 
 
-def right_half(samples: FloatArray) -> np.ndarray:
-    return samples[:, 50, HAND] > DEMO.q[50, HAND]
+class RightHalf:
+    """A wall through the demonstration."""
+
+    def __call__(self, q: FloatArray) -> np.ndarray:
+        return q[:, 50, HAND] > DEMO.q[50, HAND]
+
+    def usual_touch(self, q: FloatArray) -> str:
+        return "elbow into the wall"
+
+
+class Everywhere(RightHalf):
+    def __call__(self, q: FloatArray) -> np.ndarray:
+        return np.ones(len(q), dtype=bool)
+
+
+right_half = RightHalf()
 
 
 def test_samples_scatter_about_the_demonstration_as_asked() -> None:
     config = SamplingConfig(n_samples=400)
-    samples = sample_around(DEMO, config, rng())
+    found = sample_around(DEMO, config, rng())
+    samples = found.q
+    assert found.collided == 0
     assert samples.shape == (400, 100, 23)
     off = samples - DEMO.q
     wanted = config.deviation * standard_deviation(100)
@@ -39,25 +55,28 @@ def test_samples_scatter_about_the_demonstration_as_asked() -> None:
 
 def test_a_demonstration_is_smoother_than_its_samples() -> None:
     own = FEATURES.values(DEMO.q, DEMO.situation)
-    others = FEATURES.values(sample_around(DEMO, SamplingConfig(n_samples=50), rng()), DEMO.situation)
+    others = FEATURES.values(sample_around(DEMO, SamplingConfig(n_samples=50), rng()).q, DEMO.situation)
     assert (others[:, [1, 4, 5]] > own[[1, 4, 5]]).mean() > 0.85
 
 
 def test_colliding_samples_are_replaced() -> None:
-    samples = sample_around(DEMO, SamplingConfig(n_samples=60), rng(), right_half)
-    assert len(samples) == 60
-    assert not right_half(samples).any()
+    for seed in range(8):
+        samples = sample_around(DEMO, SamplingConfig(n_samples=20), np.random.default_rng(seed), right_half)
+        assert len(samples.q) == 20
+        assert not right_half(samples.q).any()
+        assert 4 < samples.collided < 60  # about half of all
 
 
 def test_if_some_are_lacking_in_the_end_fewer_are_returned() -> None:
     samples = sample_around(DEMO, SamplingConfig(n_samples=60, attempts=1), rng(), right_half)
-    assert 10 < len(samples) < 50
-    assert not right_half(samples).any()
+    assert 10 < len(samples.q) < 50
+    assert samples.collided + len(samples.q) == 60
+    assert not right_half(samples.q).any()
 
 
 def test_if_all_collide_the_demonstration_is_named() -> None:
-    with pytest.raises(MotionError, match=r"made_up_1.*all 3 x 20 do"):
-        sample_around(DEMO, SamplingConfig(n_samples=20, attempts=3), rng(), lambda q: np.ones(len(q), dtype=bool))
+    with pytest.raises(MotionError, match=r"made_up_1.*all 3 x 20 do, most with elbow into the wall"):
+        sample_around(DEMO, SamplingConfig(n_samples=20, attempts=3), rng(), Everywhere())
 
 
 @pytest.mark.parametrize("bad", [{"n_samples": 0}, {"attempts": 0}, {"deviation": 0.0}, {"deviation": np.nan}])

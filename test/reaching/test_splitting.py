@@ -9,8 +9,8 @@ import pytest
 from paths import shared_data
 from reaching_people import MODEL, recording
 
-from humanpred_ros.errors import MotionError
-from humanpred_ros.motion.reach_recordings import Jump, load_reach_recordings
+from humanpred_ros.errors import HumanModelError, MotionError, UsageError
+from humanpred_ros.motion.reach_recordings import Jump, ReachRecording, load_reach_recordings
 from humanpred_ros.reaching.features import ReachFeatures
 from humanpred_ros.reaching.splitting import SplittingConfig, cut_frames, demonstration, demonstrations
 from humanpred_ros.reaching.stencils import PADDING
@@ -73,7 +73,28 @@ def test_what_comes_after_a_jump_may_be_learned_from() -> None:
 
 def test_reaches_shorter_than_the_stencil_are_left_out() -> None:
     assert demonstrations([recording(1, n_frames=6)], FEATURES) == ()
-    assert len(demonstrations([recording(1, n_frames=6)], FEATURES, keep_unfit=True)) == 1
+    assert demonstrations([recording(1, n_frames=6)], FEATURES, keep_unfit=True) == ()
+    assert len(demonstrations([recording(1, n_frames=7)], FEATURES)) == 1
+
+
+def test_recordings_with_jumps_are_learned_from_if_asked_for() -> None:
+    entry = dataclasses.replace(recording(1, n_frames=140), jumps=(Jump("active", 15, "right_wrist", 7.0),))
+    found = demonstrations([entry], FEATURES, SplittingConfig(), keep_unfit=True)
+    assert [demo.first_frame for demo in found] == [0, 1, 11, 21, 31, 41, 51]
+
+
+def test_recordings_of_another_human_are_refused() -> None:
+    entry = recording(1)
+    names = (entry.active.dof_names[1], entry.active.dof_names[0], *entry.active.dof_names[2:])
+    mixed = [dataclasses.replace(motion, dof_names=names) for motion in (entry.active, entry.passive)]
+    with pytest.raises(HumanModelError, match="another order"):
+        demonstration(ReachRecording("mixed", *mixed), FEATURES)
+
+
+@pytest.mark.parametrize("bad", [{"every_s": 0.0}, {"first_s": -1.0}, {"least_s": np.nan}])
+def test_impossible_settings_are_refused(bad: dict[str, float]) -> None:
+    with pytest.raises(UsageError, match="splitting"):
+        SplittingConfig(**bad)
 
 
 @pytest.mark.parametrize("frame", [-1, 99])
