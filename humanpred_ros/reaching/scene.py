@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -32,6 +33,8 @@ _TABLE_BOXES = (
 )
 #: Where reaches at that table happen; beyond, the distance at the border stands in.
 _REGION_M = ((0.9, 0.3, 0.6), (2.6, 2.0, 1.9))
+#: And so far around other obstacles.
+_AROUND_M = 0.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +76,24 @@ class ReachScene:
     def of_p2(cls) -> ReachScene:
         """Return the table of P2's recordings."""
         return _of_p2()
+
+    @classmethod
+    def of_obstacles(cls, obstacles: Sequence[Obstacle], T: ArrayLike) -> ReachScene:
+        """Return obstacles moved by a rigid transform (4, 4), as from the world to a tracker's frame, and around them.
+
+        Raises:
+            ArrayError: a transform that is not rigid.
+        """
+        move = checked("reach scene: transform", T, (4, 4))
+        moved = tuple(
+            Obstacle(obstacle.name, replace(obstacle.shape, T_world_shape=move @ obstacle.shape.T_world_shape))
+            for obstacle in obstacles
+        )
+        if not moved:
+            return cls.empty()
+        centre = np.array([obstacle.shape.T_world_shape[:3, 3] for obstacle in moved])
+        half = np.array([obstacle.shape.half_extent_m for obstacle in moved])
+        return cls(moved, (centre - half).min(axis=0) - _AROUND_M, (centre + half).max(axis=0) + _AROUND_M)
 
     @classmethod
     def empty(cls) -> ReachScene:

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from reaching_people import MODEL, PARTNER, START
 
-from humanpred_ros.errors import HumanModelError, SceneError
+from humanpred_ros.errors import ArrayError, HumanModelError, SceneError
 from humanpred_ros.human.shapes import Capsule
 from humanpred_ros.reaching.capsules import MOVING_BODIES, BodyCapsules
 from humanpred_ros.reaching.scene import CAP_M, ReachScene
+from humanpred_ros.robot.scene import load_scene
 
 SCENE = ReachScene.of_p2()
 
@@ -86,3 +87,18 @@ def test_bad_input_is_refused() -> None:
     with pytest.raises(SceneError, match="ends"):
         SCENE.field_with(np.zeros((1, 3)), [0.1])
     assert len(BodyCapsules.of(MODEL, MOVING_BODIES).links) == len(MOVING_BODIES)
+
+
+def test_the_obstacles_of_a_robots_scene_are_moved_to_where_the_person_sees_them() -> None:
+    scene = load_scene("face_to_face")
+    here = ReachScene.of_obstacles(scene.obstacles, np.linalg.inv(scene.T_world_human))
+    assert [obstacle.name for obstacle in here.obstacles] == [obstacle.name for obstacle in scene.obstacles]
+    points = np.array([[0.0, -0.7, 0.75], [0.2, -0.8, 0.9], [-0.6, -0.5, 0.6]])
+    moved = points @ np.linalg.inv(scene.T_world_human)[:3, :3].T + np.linalg.inv(scene.T_world_human)[:3, 3]
+    for world, tracker in zip(scene.obstacles, here.obstacles, strict=True):
+        np.testing.assert_allclose(tracker.shape.distance(moved), world.shape.distance(points), atol=1e-9)
+    assert (here.lower_m < moved.min(axis=0)).all()
+    assert (here.upper_m > moved.max(axis=0)).all()
+    assert not ReachScene.of_obstacles((), np.eye(4)).obstacles
+    with pytest.raises(ArrayError):
+        ReachScene.of_obstacles(scene.obstacles, np.zeros((3, 3)))
