@@ -197,7 +197,7 @@ _EXPERIMENTS = {
             "streams": ("stream_command", "onsets, ends and recognition on long streams with pauses"),
             "interference": ("interference_command", "how much the arm disturbs the person (P1 Table I)"),
             "switching": ("switching_command", "when the arm changes its goal (P1 Fig. 9)"),
-            "reaching": ("reaching_command", "predicted reaches against recorded ones (P2 Tables I to III)"),
+            "reaching": ("reaching.command", "predicted reaches against recorded (P2 Tables I to III, Figs. 7, 10)"),
         },
     ),
     "bench": (

@@ -1,4 +1,4 @@
-"""The plot of an evaluation of reaches: predicted and real paths of the wrist, and how far off each predictor is."""
+"""The plot of an evaluation of reaches: paths of the wrist, how far off each predictor is, and what was learned."""
 
 from __future__ import annotations
 
@@ -11,98 +11,108 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
-from humanpred_ros.viewing.figures import DASHES, INK, MUTED, SERIES, new_figure, report_style
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.viewing.figures import INK, SERIES, new_figure, report_style
+from humanpred_ros.viewing.plots_reach_figures import (
+    DISTANCE_TITLES,
+    CostBySamples,
+    DistanceBars,
+    WeightDots,
+    bars_height_in,
+    draw_cost_by_samples,
+    draw_distances,
+    draw_weights,
+    weights_height_in,
+)
 
 _DPI = 150
 _COLUMNS = 4
-_BARS = ("joint", "task as coded", "task")
+_PATHS_IN = 3.6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class WristPaths:
     """One recording: the real path of the wrist (n, 3) and those predicted, by predictor, metres."""
 
     name: str
-    real_m: NDArray[np.float64]
-    predicted_m: Mapping[str, NDArray[np.float64]]
+    real_m: FloatArray
+    predicted_m: Mapping[str, FloatArray]
 
 
-@dataclass(frozen=True)
-class DistanceBar:
-    """One row of the comparison: joint, task as coded, task; NaN where there is nothing (published rows: task)."""
+@dataclass(frozen=True, eq=False)
+class ReachingPlot:
+    """Everything that is drawn; parts may be empty or None.
 
-    name: str
-    values_m: tuple[float, float, float]
-    published: bool
+    Attributes:
+        paths: one for each recording.
+        bars: one set for each set of recordings.
+        samples: cost differences by number of samples (P2 Fig. 7).
+        weights: learned leaving one out (P2 Fig. 10).
+    """
+
+    paths: Sequence[WristPaths]
+    bars: Sequence[DistanceBars]
+    samples: CostBySamples | None = None
+    weights: WeightDots | None = None
 
 
-def save_reaching_plot(path: Path, paths: Sequence[WristPaths], bars: Sequence[DistanceBar]) -> None:
-    """Write the plot as PNG: for each recording the wrist from above and its height over time, below the comparison."""
-    colours = _colours(paths)
-    rows = -(-len(paths) // _COLUMNS)
-    bars_in = 0.5 + 0.21 * len(bars)
+def save_reaching_plot(path: Path, plot: ReachingPlot) -> None:
+    """Write the plot as PNG: wrists from above and their height over time; distances; weights."""
+    path_rows = -(-len(plot.paths) // _COLUMNS)
+    heights = [_PATHS_IN] * path_rows + [bars_height_in(bars) for bars in plot.bars]
+    if plot.samples is not None or plot.weights is not None:
+        heights.append(weights_height_in(plot.weights))
     with report_style():
-        figure = new_figure(4.0 * rows + bars_in + 0.3)
+        figure = new_figure(sum(heights) + 0.3)
         figure.set_facecolor("white")
-        grid = figure.add_gridspec(rows + 1, 1, height_ratios=[4.0] * rows + [bars_in])
-        for row in range(rows):
+        grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
+        styles = _styles(plot.paths)
+        for row in range(path_rows):
             cells = grid[row].subgridspec(2, _COLUMNS, height_ratios=[3, 2])
-            for column, entry in enumerate(paths[row * _COLUMNS : (row + 1) * _COLUMNS]):
+            for column, entry in enumerate(plot.paths[row * _COLUMNS : (row + 1) * _COLUMNS]):
                 above, over_time = (figure.add_subplot(cells[k, column]) for k in (0, 1))
-                _from_above(above, entry, colours)
-                _height(over_time, entry, colours)
+                _from_above(above, entry, styles)
+                _height(over_time, entry, styles)
                 if column == 0:
-                    above.set_ylabel("wrist y, m")
+                    above.set_ylabel("y, m")
                     over_time.set_ylabel("wrist height, m")
-        below = grid[rows].subgridspec(1, len(_BARS))
-        for k, title in enumerate(_BARS):
-            _bars(figure.add_subplot(below[k]), title, bars, k, colours)
-        handles = [Line2D([], [], color=INK, linewidth=2.4, label="real")]
-        handles += [Line2D([], [], label=name, **style) for name, style in colours.items()]
-        figure.legend(handles=handles, ncols=len(handles), loc="outside upper center")
+        for row, bars in enumerate(plot.bars, start=path_rows):
+            cells = grid[row].subgridspec(1, len(DISTANCE_TITLES))
+            panels = [figure.add_subplot(cells[k]) for k in range(len(DISTANCE_TITLES))]
+            draw_distances(panels, bars)
+        if plot.samples is not None or plot.weights is not None:
+            cells = grid[len(heights) - 1].subgridspec(1, 2)
+            draw_cost_by_samples(figure.add_subplot(cells[0]), plot.samples)
+            draw_weights(figure.add_subplot(cells[1]), plot.weights)
+        if plot.paths:
+            handles = [Line2D([], [], color=INK, linewidth=2.4, label="real wrist (dot: start)")]
+            handles += [Line2D([], [], label=name, **style) for name, style in styles.items()]
+            figure.legend(handles=handles, ncols=len(handles), loc="outside upper center")
         canvas: Any = FigureCanvasAgg(figure)
         canvas.print_figure(path, format="png", dpi=_DPI, facecolor="white")
 
 
-def _colours(paths: Sequence[WristPaths]) -> dict[str, dict[str, Any]]:
+def _styles(paths: Sequence[WristPaths]) -> dict[str, dict[str, Any]]:
     names = dict.fromkeys(name for entry in paths for name in entry.predicted_m)
     return {
-        name: {"color": SERIES[k % len(SERIES)], "linestyle": DASHES[(k // len(SERIES)) % len(DASHES)]}
+        name: {"color": SERIES[k % len(SERIES)], "linestyle": "--" if k >= len(SERIES) else "-"}
         for k, name in enumerate(names)
     }
 
 
-def _from_above(axes: Axes, entry: WristPaths, colours: Mapping[str, Mapping[str, Any]]) -> None:
+def _from_above(axes: Axes, entry: WristPaths, styles: Mapping[str, Mapping[str, Any]]) -> None:
     axes.set_title(entry.name)
     axes.plot(entry.real_m[:, 0], entry.real_m[:, 1], color=INK, linewidth=2.4)
     axes.plot(*entry.real_m[0, :2], "o", color=INK, markersize=4.0)
     for name, path in entry.predicted_m.items():
-        axes.plot(path[:, 0], path[:, 1], linewidth=1.2, **colours[name])
+        axes.plot(path[:, 0], path[:, 1], linewidth=1.4, **styles[name])
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("wrist from above: x, m (dot: start)")
+    axes.set_xlabel("from above: x, m")
 
 
-def _height(axes: Axes, entry: WristPaths, colours: Mapping[str, Mapping[str, Any]]) -> None:
+def _height(axes: Axes, entry: WristPaths, styles: Mapping[str, Mapping[str, Any]]) -> None:
     axes.plot(np.linspace(0.0, 100.0, len(entry.real_m)), entry.real_m[:, 2], color=INK, linewidth=2.4)
     for name, path in entry.predicted_m.items():
-        axes.plot(np.linspace(0.0, 100.0, len(path)), path[:, 2], linewidth=1.2, **colours[name])
+        axes.plot(np.linspace(0.0, 100.0, len(path)), path[:, 2], linewidth=1.4, **styles[name])
     axes.set_xlabel("% of the duration")
-
-
-def _bars(
-    axes: Axes, title: str, bars: Sequence[DistanceBar], which: int, colours: Mapping[str, Mapping[str, Any]]
-) -> None:
-    axes.set_title(title)
-    axes.set_xlabel("distance, m summed over frames")
-    for row, bar in enumerate(bars):
-        value = bar.values_m[which]
-        if np.isfinite(value):
-            colour = MUTED if bar.published else colours.get(bar.name, {}).get("color", INK)
-            axes.barh(row, value, 0.75, color=colour, alpha=0.5 if bar.published else 1.0)
-            axes.text(value, row, f" {value:.2f}", va="center", color=INK, fontsize=7.5)
-    axes.set_yticks(np.arange(len(bars)), [bar.name for bar in bars] if which == 0 else [""] * len(bars))
-    axes.set_ylim(len(bars) - 0.4, -0.6)
-    axes.margins(x=0.18)
-    axes.grid(axis="y", visible=False)

@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 
 from humanpred_ros.checks import FloatArray
-from humanpred_ros.experiments.evaluation_files import plain
-from humanpred_ros.experiments.reaching_reference import PublishedRow
-from humanpred_ros.experiments.target import Target
+from humanpred_ros.experiments.reaching.reference import PublishedRow
 from humanpred_ros.reaching.distances import ReachDistance
 
 #: Fields of `ReachDistance`, in the order of columns.
@@ -84,16 +82,17 @@ class PredictorFigures:
     """One predictor on all recordings.
 
     Attributes:
-        name, description: which.
+        name, description, group: which.
         runs: of each recording.
         recordings: one by one.
         average: over all recordings.
         average_fit: over those without marked jumps of the reaching person; None if there are none.
-        predict_ms: median time of one prediction, machine-dependent.
+        predict_ms: median time of one prediction, beside whatever else the machine did.
     """
 
     name: str
     description: str
+    group: str
     runs: int
     recordings: tuple[RecordingFigures, ...]
     average: DistanceFigures
@@ -134,31 +133,19 @@ class ReachingSet:
         """Names of the recordings."""
         return tuple(str(facts["name"]) for facts in self.recordings)
 
+    def published_of(self, predictor: str) -> PublishedRow | None:
+        """Return what P2 published of a predictor that is made the same way, None if nothing."""
+        return next((row for row in self.published if row.predictor == predictor), None)
 
-@dataclass(frozen=True)
-class ReachingEvaluation:
-    """The whole evaluation.
+    def better_than(self, predictor: str, other: str, distance: str) -> int | None:
+        """Return on how many recordings the average of one predictor is lower than another's, by a name of `DISTANCES`.
 
-    Attributes:
-        settings: everything the figures depend on.
-        machine: what the times depend on.
-        sets: the demonstrations, predicted leaving one out, and the interference case if it is there.
-        table1: P2's Table I by recording, joint and task as coded.
-        targets: side by side.
-    """
-
-    settings: Mapping[str, Any]
-    machine: Mapping[str, Any]
-    sets: tuple[ReachingSet, ...]
-    table1: Mapping[str, tuple[float, float]]
-    targets: tuple[Target, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return everything but the paths as plain values."""
-        value: dict[str, Any] = plain(self)
-        for entry in value["sets"]:
-            del entry["wrist_m"]
-            for predictor in entry["predictors"]:
-                for recording in predictor["recordings"]:
-                    del recording["wrist_m"]
-        return value
+        None if one of them was not run.
+        """
+        ours, theirs = self.predictor(predictor), self.predictor(other)
+        if ours is None or theirs is None:
+            return None
+        pairs = (
+            (getattr(ours.of(name), distance).mean, getattr(theirs.of(name), distance).mean) for name in self.names
+        )
+        return sum(bool(mine < its) for mine, its in pairs)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
+from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -13,16 +14,18 @@ from reaching_people import MODEL, recording
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import UsageError
-from humanpred_ros.experiments import reaching_evaluation
-from humanpred_ros.experiments.reaching_entry import ReachingEntry, ReachingMaterial
-from humanpred_ros.experiments.reaching_evaluation import ReachingConfig, evaluate_reaching
-from humanpred_ros.experiments.reaching_predictors import REACHING_PREDICTORS
-from humanpred_ros.experiments.reaching_result import Statistic
+from humanpred_ros.experiments.reaching import learned as learned_module
+from humanpred_ros.experiments.reaching import predictors as predictors_module
+from humanpred_ros.experiments.reaching.entry import ReachingEntry, ReachingMaterial
+from humanpred_ros.experiments.reaching.evaluation import ReachingConfig, evaluate_reaching
+from humanpred_ros.experiments.reaching.predictors import REACHING_PREDICTORS
+from humanpred_ros.experiments.reaching.result import Statistic
 from humanpred_ros.motion.reach_recordings import Jump, load_reach_recordings
 from humanpred_ros.reaching.distances import ReachMetric
 from humanpred_ros.reaching.task import ReachTask
 from humanpred_ros.reaching.trivial import TimedLine, minimum_jerk
 
+T, U = TypeVar("T"), TypeVar("U")
 RECORDINGS = [recording(seed, n_frames=40) for seed in range(3)]
 
 
@@ -36,11 +39,20 @@ class Shaky:
 
 def with_entry(monkeypatch: pytest.MonkeyPatch, name: str, entry: ReachingEntry) -> None:
     more: Mapping[str, ReachingEntry] = MappingProxyType({**REACHING_PREDICTORS, name: entry})
-    monkeypatch.setattr(reaching_evaluation, "REACHING_PREDICTORS", more)
+    monkeypatch.setattr(predictors_module, "REACHING_PREDICTORS", more)
+
+
+def in_turn(
+    function: Callable[[T], U], tasks: Sequence[T], jobs: int, progress: Callable[[int], None] | None = None
+) -> list[U]:
+    """Do in this process what an evaluation does in others."""
+    return [function(task) for task in tasks]
 
 
 def test_figures_are_those_of_the_metric() -> None:
-    evaluation = evaluate_reaching(RECORDINGS, config=ReachingConfig(predictors=("hold", "minimum_jerk")))
+    evaluation = evaluate_reaching(
+        RECORDINGS, config=ReachingConfig(predictors=("hold", "minimum_jerk")), spread=in_turn
+    )
     (demos,) = evaluation.sets
     assert demos.names == ("made_up_0", "made_up_1", "made_up_2")
     assert [figures.name for figures in demos.predictors] == ["hold", "minimum_jerk", "itself"]
@@ -72,7 +84,7 @@ def test_nobody_learns_from_the_reach_to_predict(monkeypatch: pytest.MonkeyPatch
 
     with_entry(monkeypatch, "watched", ReachingEntry("", prepare))
     case = recording(7, n_frames=40)
-    evaluation = evaluate_reaching(RECORDINGS, [case], ReachingConfig(predictors=("watched",)))
+    evaluation = evaluate_reaching(RECORDINGS, [case], ReachingConfig(predictors=("watched",)), spread=in_turn)
     names = [entry.name for entry in RECORDINGS]
     assert asked == {**{name: [n for n in names if n != name] for name in names}, case.name: names}
     assert [entry.left_out for entry in evaluation.sets] == [True, False]
@@ -81,7 +93,7 @@ def test_nobody_learns_from_the_reach_to_predict(monkeypatch: pytest.MonkeyPatch
 def test_chance_is_shown_over_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     with_entry(monkeypatch, "shaky", ReachingEntry("", lambda _: lambda name: Shaky(), by_chance=True))
     config = ReachingConfig(predictors=("shaky", "line"), runs=4)
-    a, b = (evaluate_reaching(RECORDINGS, config=config).sets[0] for _ in range(2))
+    a, b = (evaluate_reaching(RECORDINGS, config=config, spread=in_turn).sets[0] for _ in range(2))
     shaky, line = a.predictors[0], a.predictors[1]
     assert (shaky.runs, line.runs) == (4, 1)
     joint = shaky.recordings[0].figures.joint_m
@@ -89,8 +101,41 @@ def test_chance_is_shown_over_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     assert joint.sd > 0.0
     assert line.recordings[0].figures.joint_m.sd == 0.0
     assert [entry.figures for entry in shaky.recordings] == [entry.figures for entry in b.predictors[0].recordings]
-    other = evaluate_reaching(RECORDINGS, config=dataclasses.replace(config, seed=1)).sets[0]
+    other = evaluate_reaching(RECORDINGS, config=dataclasses.replace(config, seed=1), spread=in_turn).sets[0]
     assert other.predictors[0].recordings[0].figures != shaky.recordings[0].figures
+
+
+def test_what_learns_gets_weights_that_do_not_know_the_tested_reach(monkeypatch: pytest.MonkeyPatch) -> None:
+    few = {
+        how: dataclasses.replace(
+            config, sampling=dataclasses.replace(config.sampling, n_samples=20), collisions=None, bootstrap=2
+        )
+        for how, config in learned_module.LEARNING.items()
+    }
+    monkeypatch.setattr(learned_module, "LEARNING", few)
+    given: dict[str, FloatArray] = {}
+
+    def prepare(material: ReachingMaterial):  # type: ignore[no-untyped-def]
+        def without(name: str) -> TimedLine:
+            given[name] = material.learned("improved").without(name)
+            return TimedLine(minimum_jerk)
+
+        return without
+
+    with_entry(monkeypatch, "watched", ReachingEntry("", prepare, learns="improved"))
+    case = recording(7, n_frames=40)
+    names = ("watched", "own")
+    config = ReachingConfig(predictors=names, runs=1)
+    found = evaluate_reaching(RECORDINGS, [case], config, spread=in_turn)
+    assert found.weights is not None
+    (left_out,) = found.weights.left_out
+    for name, weights in zip(left_out.recordings, left_out.weights, strict=True):
+        np.testing.assert_array_equal(given[name], weights)
+    np.testing.assert_array_equal(given[case.name], found.weights.columns[0].weights)
+    # Who learns from the tested reach cannot be tested on one that nothing was learned from.
+    assert [figures.name for figures in found.sets[0].predictors] == [*names, "itself"]
+    assert [figures.name for figures in found.sets[1].predictors] == ["watched", "itself"]
+    assert [entry.predictor for entry in found.times] == ["own"]
 
 
 def test_statistics_are_averaged_as_in_the_paper() -> None:
@@ -101,7 +146,9 @@ def test_statistics_are_averaged_as_in_the_paper() -> None:
 
 def test_recordings_with_jumps_are_tested_and_shown_apart() -> None:
     jumping = dataclasses.replace(RECORDINGS[0], jumps=(Jump("active", 20, "right_wrist", 7.0),))
-    demos = evaluate_reaching([jumping, *RECORDINGS[1:]], config=ReachingConfig(predictors=("line",))).sets[0]
+    demos = evaluate_reaching(
+        [jumping, *RECORDINGS[1:]], config=ReachingConfig(predictors=("line",)), spread=in_turn
+    ).sets[0]
     line = demos.predictors[0]
     assert len(line.recordings) == 3
     assert line.average_fit is not None
@@ -125,12 +172,16 @@ def test_on_the_papers_recordings_all_reference_values_come_out() -> None:
     recordings = load_reach_recordings(shared_data("icra2015/demos"))
     case = load_reach_recordings(shared_data("icra2015/interference_case"))
     trivial = ("hold", "line", "cubic", "minimum_jerk", "time_profile")
-    evaluation = evaluate_reaching(recordings, case, ReachingConfig(predictors=trivial))
+    evaluation = evaluate_reaching(recordings, case, ReachingConfig(predictors=trivial), spread=in_turn)
     assert evaluation.sets[0].names[0] == "0446-0578"  # the paper's order
     assert len(evaluation.sets[0].published) == 7
     assert len(evaluation.sets[1].published) == 2
     assert len(evaluation.targets) >= 11
     assert all(target.met for target in evaluation.targets)
+    seven = evaluation.sets[0]
+    assert seven.better_than("minimum_jerk", "line", "joint_m") == 7
+    assert seven.better_than("line", "minimum_jerk", "joint_m") == 0
+    assert seven.better_than("line", "nobody", "joint_m") is None
     written = evaluation.to_json()
     assert written["table1"]["2711-2823"] == [25.56, 45.69]
     assert "wrist_m" not in str(written)

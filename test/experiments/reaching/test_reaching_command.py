@@ -13,7 +13,7 @@ from reaching_people import write_recording
 from rich.console import Console
 
 from humanpred_ros.errors import HumanPredError
-from humanpred_ros.experiments.reaching_command import add_arguments, run
+from humanpred_ros.experiments.reaching.command import add_arguments, run
 
 
 @pytest.fixture(scope="module")
@@ -40,15 +40,19 @@ def test_everything_printed_is_in_the_json(demos: Path, tmp_path: Path) -> None:
     json_file, plot_file = tmp_path / "figures.json", tmp_path / "figures.png"
     some = "hold,line,bow,baseline_0"  # learning takes its time
     printed = evaluate(
-        demos, "--predictor", some, "--runs", "2", "--json", str(json_file), "--plot", str(plot_file), "--seed", "3"
-    )
+        demos, "--predictor", some, "--runs", "2", "--json", str(json_file), "--plot", str(plot_file), "--seed", "3",
+        "--jobs", "1",
+    )  # fmt: skip
     found: dict[str, Any] = json.loads(json_file.read_text(encoding="utf-8"))
-    assert [entry["title"] for entry in found["sets"]] == ["leaving the tested one out", "partner in the way"]
+    assert [entry["title"] for entry in found["sets"]] == [
+        "each predicted from the others",
+        "partner in the way, predicted from all the demonstrations",
+    ]
     for entry in found["sets"]:
         for predictor in entry["predictors"]:
             for distance in ("joint_m", "task_as_coded_m", "task_m"):
                 assert f"{predictor['average'][distance]['mean']:.2f}" in printed
-                for recording in predictor["recordings"]:
+                for recording in predictor["recordings"] if len(predictor["recordings"]) > 1 else ():
                     assert f"{recording['figures'][distance]['mean']:.2f}" in printed
     assert [facts["name"] for facts in found["sets"][0]["recordings"]] == ["m0", "m1", "m2"]
     assert found["settings"]["config"]["seed"] == 3
@@ -59,12 +63,15 @@ def test_everything_printed_is_in_the_json(demos: Path, tmp_path: Path) -> None:
 def test_parts_can_be_left_out(demos: Path, tmp_path: Path) -> None:
     json_file = tmp_path / "figures.json"
     printed = evaluate(
-        demos, "--interference", "none", "--predictor", "line, time_profile", "--json", str(json_file)
-    )  # fmt: skip
+        demos, "--interference", "none", "--predictor", "line, time_profile", "--json", str(json_file), "--jobs", "1"
+    )
     found = json.loads(json_file.read_text(encoding="utf-8"))
     assert len(found["sets"]) == 1
     assert [p["name"] for p in found["sets"][0]["predictors"]] == ["line", "time_profile", "itself"]
     assert "partner in the way" not in printed
+    assert found["weights"] is None  # nothing needed any
+    assert found["recovery"] is None
+    assert "Fig. 7" not in printed
 
 
 @pytest.mark.parametrize(
@@ -74,6 +81,9 @@ def test_parts_can_be_left_out(demos: Path, tmp_path: Path) -> None:
         (("--plot", "{}/plot.svg"), "ends with .png"),
         (("--predictor", "line,crystal_ball"), "crystal_ball"),
         (("--runs", "0"), "at least one run"),
+        (("--jobs", "0"), "at least one process"),
+        (("--samples", "30,10"), "ascending"),
+        (("--samples", "many"), "whole numbers"),
         (("--demos", "{}"), "found none"),
         (("--interference", "{}/nowhere"), "no such folder"),
     ],

@@ -23,11 +23,13 @@ class PublishedRow:
     """Averages over the demonstrations, of 10 runs each, as printed in P2.
 
     Attributes:
+        predictor: ours that is made the same way.
         what: the method, in P2's words.
         table: where it stands.
         joint_m, task_as_coded_m: distances.
     """
 
+    predictor: str
     what: str
     table: str
     joint_m: float
@@ -49,17 +51,17 @@ TABLE1: Mapping[str, tuple[float, float]] = MappingProxyType(
 )  # fmt: skip
 
 PUBLISHED = (
-    PublishedRow("own weights", "P2 Table I", 28.85, 42.99),
-    PublishedRow("leave-one-out weights", "P2 Table II", 30.98, 42.18),
-    PublishedRow("baseline 0", "P2 Table II", 34.06, 45.81),
-    PublishedRow("baseline 1", "P2 Table II", 64.96, 57.78),
-    PublishedRow("leave-one-out weights, re-planned", "P2 Table II", 35.34, 43.56),
-    PublishedRow("baseline 0, re-planned", "P2 Table II", 39.55, 48.04),
-    PublishedRow("baseline 1, re-planned", "P2 Table II", 81.01, 63.11),
+    PublishedRow("own", "own weights", "P2 Table I", 28.85, 42.99),
+    PublishedRow("learned", "leave-one-out weights", "P2 Table II", 30.98, 42.18),
+    PublishedRow("baseline_0", "baseline 0", "P2 Table II", 34.06, 45.81),
+    PublishedRow("baseline_1", "baseline 1", "P2 Table II", 64.96, 57.78),
+    PublishedRow("learned_replanned", "leave-one-out weights, re-planned", "P2 Table II", 35.34, 43.56),
+    PublishedRow("baseline_0_replanned", "baseline 0, re-planned", "P2 Table II", 39.55, 48.04),
+    PublishedRow("baseline_1_replanned", "baseline 1, re-planned", "P2 Table II", 81.01, 63.11),
 )
 PUBLISHED_INTERFERENCE = (
-    PublishedRow("learned weights", "P2 Table III", 52.89, 49.22),
-    PublishedRow("learned weights, re-planned", "P2 Table III", 44.91, 36.20),
+    PublishedRow("learned", "learned weights", "P2 Table III", 52.89, 49.22),
+    PublishedRow("learned_replanned", "learned weights, re-planned", "P2 Table III", 44.91, 36.20),
 )
 
 #: (joint, task as coded, task) by demonstration, of the trivial predictors by name.

@@ -1,0 +1,95 @@
+"""All weights that an evaluation needs, learned once: from all recordings, leaving each out, and from each alone."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.reach_recordings import ReachRecording
+from humanpred_ros.reaching.learning import LearningConfig, ReachLearner, ReachWeights
+from humanpred_ros.reaching.piirl import PiirlConfig
+
+PUBLISHED, ALONE, IMPROVED = "published", "alone", "improved"
+_AS_PUBLISHED = LearningConfig(keep_unfit=True)
+#: Ways to learn: P2's (all recordings, split, the paper's loss); P2's from one whole recording (facts section 5); and
+#: with features in units of their spread, an optimum inside the bounds, and no recording with a jump.
+LEARNING: Mapping[str, LearningConfig] = MappingProxyType(
+    {
+        PUBLISHED: _AS_PUBLISHED,
+        ALONE: replace(_AS_PUBLISHED, splitting=None),
+        IMPROVED: LearningConfig(
+            piirl=PiirlConfig(normalised=True, with_demonstration=True, l2=0.1), splitting=None
+        ),
+    }
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class WeightTable:
+    """Weights (24,) learned in one way, as plain arrays: what predictors need.
+
+    Attributes:
+        everything: from all recordings.
+        left_out: from all but one, by its name.
+        alone: from one, by its name; empty where that is not wanted.
+    """
+
+    everything: FloatArray
+    left_out: Mapping[str, FloatArray]
+    alone: Mapping[str, FloatArray]
+
+    def without(self, name: str) -> FloatArray:
+        """Return the weights that know nothing of the recording `name`."""
+        return self.left_out.get(name, self.everything)
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedWeights:
+    """What was learned in one way, and how sure it is.
+
+    Attributes:
+        table: the weights.
+        everything: those from all recordings, with bootstrap and provenance.
+        notes: what learning had to say about the recordings.
+        learn_s: time that `everything` took: samples, their features, weights and bootstrap.
+        processor_s: the same as processor time, which other work on the machine matters less to.
+    """
+
+    table: WeightTable
+    everything: ReachWeights
+    notes: tuple[str, ...]
+    learn_s: float
+    processor_s: float
+
+
+def learn_all(recordings: Sequence[ReachRecording], model: HumanModel, how: str, seed: int) -> LearnedWeights:
+    """Learn from all, from all but each and, for `ALONE`, from each.
+
+    Args:
+        recordings: at least two.
+        model: the human.
+        how: one of `LEARNING`.
+        seed: of samples and bootstrap.
+
+    Raises:
+        MotionError: too little to learn from.
+    """
+    begin, processor_begin = time.perf_counter(), time.process_time()
+    learner = ReachLearner(recordings, model, replace(LEARNING[how], seed=seed))
+    everything = learner.learn()
+    learn_s, processor_s = time.perf_counter() - begin, time.process_time() - processor_begin
+    names = [recording.name for recording in recordings]
+
+    def learned(some: Sequence[str]) -> FloatArray:
+        return learner.learn(some, bootstrap=False).weights
+
+    table = WeightTable(
+        everything.weights,
+        {name: learned([other for other in names if other != name]) for name in names},
+        {name: learned([name]) for name in names} if how == ALONE else {},
+    )
+    return LearnedWeights(table, everything, learner.notes, learn_s, processor_s)

@@ -1,0 +1,82 @@
+"""Predictors of reaches that plan, for `humanpred evaluate reaching`: P2's, its baselines and a better one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from humanpred_ros.experiments.reaching.entry import BETTER, REPRODUCED, ReachingEntry, ReachingMaterial, Without
+from humanpred_ros.experiments.reaching.learned import ALONE, IMPROVED, PUBLISHED
+from humanpred_ros.reaching.named_weights import named_weights
+from humanpred_ros.reaching.planned_predictors import improved_predictor, planned_predictor
+from humanpred_ros.reaching.task import ReachPredictor
+
+#: The predictor that is used where nobody asks for another.
+DEFAULT_PREDICTOR = "improved"
+_NAMED = {
+    "baseline_0": "smooth only, blind to the partner (P2's aggressive baseline)",
+    "baseline_1": "smooth, equally afraid of all distances (P2's conservative baseline)",
+    "authors_static": "mean of the weights that P2's authors learned, the tested reach among them",
+}
+
+
+def planned_entries() -> Iterator[tuple[str, ReachingEntry]]:
+    """Yield name and entry of each: planned once, then re-planned every 0.1 s."""
+    yield (
+        "own",
+        ReachingEntry(
+            "cost learned from the tested reach itself (P2 Table I): no prediction, a fit", _own, REPRODUCED,
+            by_chance=True, learns=ALONE, of_tested=True,
+        ),
+    )  # fmt: skip
+    for replanned in (False, True):
+        tail, how = ("_replanned", ", re-planned every 0.1 s") if replanned else ("", "")
+        yield (
+            "learned" + tail,
+            ReachingEntry(
+                "P2: learned cost, straight line as first guess" + how,
+                _learned(planned_predictor, PUBLISHED, replanned),
+                REPRODUCED, by_chance=True, replanned=replanned, learns=PUBLISHED,
+            ),
+        )  # fmt: skip
+        for name, description in _NAMED.items():
+            yield (
+                name + tail,
+                ReachingEntry(
+                    description + how, _named(name, replanned), REPRODUCED, by_chance=True, replanned=replanned
+                ),
+            )
+    for replanned in (False, True):
+        tail, how = ("_replanned", ", re-planned every 0.1 s") if replanned else ("", "; the default")
+        yield (
+            "improved" + tail,
+            ReachingEntry(
+                "learned cost of normalised features, better first guess and noise" + how,
+                _learned(improved_predictor, IMPROVED, replanned),
+                BETTER, by_chance=True, replanned=replanned, learns=IMPROVED,
+            ),
+        )  # fmt: skip
+
+
+def _own(material: ReachingMaterial) -> Without:
+    weights = material.learned(ALONE).alone
+    return lambda tested: planned_predictor(material.recordings, material.model, weights[tested])
+
+
+def _named(name: str, replanned: bool) -> Callable[[ReachingMaterial], Without]:
+    def prepare(material: ReachingMaterial) -> Without:
+        weights = named_weights(name)
+        return lambda left_out: planned_predictor(
+            material.without(left_out), material.model, weights, replanned=replanned
+        )
+
+    return prepare
+
+
+def _learned(build: Callable[..., ReachPredictor], how: str, replanned: bool) -> Callable[[ReachingMaterial], Without]:
+    def prepare(material: ReachingMaterial) -> Without:
+        learned = material.learned(how)
+        return lambda left_out: build(
+            material.without(left_out), material.model, learned.without(left_out), replanned=replanned
+        )
+
+    return prepare
