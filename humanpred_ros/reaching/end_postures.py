@@ -1,0 +1,316 @@
+"""In which posture does a reach to a given place end? Learned from reaches to others, corrected to touch it.
+
+A place says where the hand ends, not how the body gets it there: how far people lean and step, and where the elbow
+stays. That is a smooth function of where the place is seen from the body, so it carries over to places nobody reached
+for: by how much pelvis and torso move from where they are, and which angles the arm has then. What the learned
+function misses is made up by moving those DoFs that vary anyway: inverse kinematics in the metric of what people do,
+which as a whole is the Gaussian of postures given that the hand is at the place.
+
+Not in P2, which is told the end posture (facts: icra2015, section 5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from humanpred_ros.checks import FloatArray, checked, frozen
+from humanpred_ros.errors import HumanModelError, MotionError
+from humanpred_ros.human.chain_points import ChainPoints
+from humanpred_ros.human.model import HumanModel
+
+HAND, BODY, TRUNK_END = "right_palm", "pelvis", "neck"
+#: The start is the median of so many first postures.
+N_START = 5
+#: Added to every variance: trackers are not better than this, m^2 and rad^2.
+_NOISE_VARIANCE = 1e-6
+_STEP_SHARES = (1.0, 0.5, 0.25, 0.125)
+#: In units of a squared standard deviation.
+_CONVERGED = 1e-3
+
+
+@dataclass(frozen=True)
+class EndPosturesConfig:
+    """How end postures are learned and corrected.
+
+    Half or double of any number changes the error of either of P1's libraries by less than 10 %, but for twice the
+    bend, which is nearly none: then the error of library_a grows by 39 %, where people lean for far places only.
+
+    Attributes:
+        slope_m: places so far apart are as different in the linear part of the function as ...
+        bend_m: ... places so far apart are in the part that bends, which falls off with distance.
+        noise: variance of what people do, in units of that of the function: the greater the smoother.
+        place_m: a hand that reaches for a place ends so far from it, standard deviation in each direction.
+        n_iterations: of the correction at most; most converge in three to five.
+    """
+
+    slope_m: float = 0.3
+    bend_m: float = 0.5
+    noise: float = 0.2
+    place_m: float = 0.03
+    n_iterations: int = 20
+
+    def __post_init__(self) -> None:
+        numbers = (self.slope_m, self.bend_m, self.noise, self.place_m)
+        if not all(0.0 < number < np.inf for number in numbers) or self.n_iterations < 1:
+            raise MotionError(f"end postures: wanted positive numbers, got {self}")
+
+
+@dataclass(frozen=True, eq=False)
+class EndPosture:
+    """The Gaussian of postures in which a reach to a place ends.
+
+    Attributes:
+        mean: (D,) the most probable one; angles follow from the start posture without a jump.
+        covariance: (D, D).
+        miss_m: how far its hand is from the place.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    miss_m: float
+
+    def samples(self, rng: np.random.Generator, count: int) -> FloatArray:
+        """Return `count` postures (count, D) drawn from it."""
+        variance, axes = np.linalg.eigh(self.covariance)
+        normal = rng.standard_normal((count, len(self.mean)))
+        drawn: FloatArray = self.mean + (normal * np.sqrt(np.maximum(variance, 0.0))) @ axes.T
+        return drawn
+
+
+@dataclass(frozen=True, eq=False)
+class EndPostures:
+    """Maps start posture and place to the end posture: a Gaussian process, the sum of a linear part and one that bends.
+
+    Attributes:
+        human: whose postures they are.
+        seen: (N, 6) what was learned from, as seen from the body: the place reached, and where the hand was first.
+        outcome: (N, D) of the trunk's DoFs end minus start, the pelvis' way seen from the body; of the arm's the end.
+        config: settings.
+
+    Raises:
+        MotionError: arrays that do not fit each other, or nothing learned from.
+        HumanModelError: a human that lacks a hand or a neck, or whose first DoFs do not shift the pelvis.
+    """
+
+    human: HumanModel
+    seen: FloatArray
+    outcome: FloatArray
+    config: EndPosturesConfig
+
+    def __post_init__(self) -> None:
+        seen = checked("end postures: seen", self.seen, ("N", 6), error=MotionError)
+        outcome = checked("end postures: outcome", self.outcome, (len(seen), self._n_dofs), error=MotionError)
+        if not len(seen):
+            raise MotionError("end postures: wanted at least one reach to learn from, got none")
+        object.__setattr__(self, "seen", frozen(seen))
+        object.__setattr__(self, "outcome", frozen(outcome))
+        missing = {HAND, BODY, TRUNK_END} - set(self.human.link_names)
+        moves = self.human.joints.linear[:3]
+        if missing or not np.array_equal(moves, np.eye(3)):
+            raise HumanModelError(
+                f"end postures of {self.human.name}: wanted links {HAND}, {BODY} and {TRUNK_END}, and first DoFs "
+                f"that shift the pelvis along x, y, z; got a model without {', '.join(sorted(missing)) or 'such DoFs'}"
+            )
+
+    @classmethod
+    def learn(
+        cls, postures: Sequence[ArrayLike], human: HumanModel, config: EndPosturesConfig | None = None
+    ) -> EndPostures:
+        """Learn from reaches (T, D) each, whose ends are taken to be where the hand is farthest from its start.
+
+        Raises:
+            MotionError: no reaches, or postures of another human.
+        """
+        config = config or EndPosturesConfig()
+        seen: list[FloatArray] = []
+        outcome: list[FloatArray] = []
+        arm = _arm(human)
+        for number, reach in enumerate(postures):
+            q = checked(f"reach {number}", reach, ("T", len(human.dof_names)), error=MotionError)
+            if not len(q):
+                raise MotionError(f"reach {number}: wanted at least one posture, got none")
+            start, end = start_and_end(continuous(q, human), human)
+            T = _heading(human, start)
+            hand = human.forward(np.stack([start, end]))[HAND]
+            seen.append(np.concatenate([_from_body(T, hand[1]), _from_body(T, hand[0])]))
+            row = end - start
+            row[:3] = row[:3] @ T[:3, :3]
+            row[arm] = _near(human, end, outcome[0] if outcome else end)[arm]
+            outcome.append(row)
+        n, D = len(seen), len(human.dof_names)
+        return cls(human, np.array(seen).reshape(n, 6), np.array(outcome).reshape(n, D), config)
+
+    def without_bend(self) -> EndPostures:
+        """Return the same reaches with the linear part only."""
+        return replace(self, config=replace(self.config, bend_m=1e3))
+
+    def at(self, start: ArrayLike, place_m: ArrayLike) -> EndPosture:
+        """Return the end posture of a reach from a posture (D,) to a place (3,) in the tracker's frame.
+
+        Raises:
+            MotionError: arrays of other shapes or not finite.
+        """
+        q = checked("start posture", start, (self._n_dofs,), error=MotionError)
+        place = checked("place", place_m, (3,), error=MotionError)
+        T = _heading(self.human, q)
+        hand = self.human.forward(q)[HAND]
+        x = np.concatenate([_from_body(T, place), _from_body(T, hand)])[None]
+        k = self._kernel(x, self.seen)
+        end = self._mean_outcome + (k @ self._weights)[0]
+        end[:3] = T[:3, :3] @ end[:3]
+        trunk = slice(None, _arm(self.human).start)
+        end[trunk] += q[trunk]
+        end = _near(self.human, end, q)
+        # What people do where nobody was seen may be anything near: the process's variance, relative to its mean one.
+        unsure = float((self._kernel(x, x) - k @ self._inverse @ k.T)[0, 0]) + self.config.noise
+        turned = np.eye(self._n_dofs)
+        turned[:3, :3] = T[:3, :3]
+        prior = turned @ self._covariance @ turned.T * (unsure / self._mean_variance)
+        return self._touching(end, prior, place)
+
+    def mean(self, start: ArrayLike, place_m: ArrayLike) -> FloatArray:
+        """Return the most probable end posture (D,); see `at`."""
+        return self.at(start, place_m).mean
+
+    def _touching(self, mean: FloatArray, covariance: FloatArray, place: FloatArray) -> EndPosture:
+        """Return the Gaussian given that the hand is at the place: Gauss-Newton, as an iterated Kalman filter."""
+        noise = self.config.place_m**2 * np.eye(3)
+        lower, upper = _limits(self.human)
+        inverse = np.linalg.inv(covariance)
+
+        def cost(q: FloatArray) -> float:
+            away, miss = q - mean, place - self._hand_at(q)
+            return float(away @ inverse @ away + miss @ miss / self.config.place_m**2)
+
+        q = np.clip(mean, lower, upper)
+        before = cost(q)
+        for _ in range(self.config.n_iterations):
+            J = self._jacobian(q)
+            gain = covariance @ J.T @ np.linalg.inv(J @ covariance @ J.T + noise)
+            aim = mean + gain @ (place - self._hand_at(q) - J @ (mean - q))
+            # Far from the place a whole step may overshoot; half of it, or a quarter, does not.
+            for share in _STEP_SHARES:
+                tried = np.clip(q + share * (aim - q), lower, upper)
+                after = cost(tried)
+                if after < before:
+                    break
+            else:
+                break
+            q, gained, before = tried, before - after, after
+            if gained < _CONVERGED:
+                break
+        J = self._jacobian(q)
+        gain = covariance @ J.T @ np.linalg.inv(J @ covariance @ J.T + noise)
+        given = covariance - gain @ J @ covariance
+        miss_m = float(np.linalg.norm(place - self._hand_at(q)))
+        return EndPosture(q, 0.5 * (given + given.T), miss_m)
+
+    def _hand_at(self, q: FloatArray) -> FloatArray:
+        return np.asarray(self._hand.positions(q), dtype=np.float64)[0]  # type: ignore[no-any-return]
+
+    def _jacobian(self, q: FloatArray) -> FloatArray:
+        return np.asarray(self._hand.jacobian(q), dtype=np.float64)[0]  # type: ignore[no-any-return]
+
+    def _kernel(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        """Return the covariance (A, B) of the function at a (A, 6) and b (B, 6), in units of the bend's."""
+        x, y = a - self._centre, b - self._centre
+        square = ((x[:, None] - y) ** 2).sum(axis=2)
+        k: FloatArray = 1.0 + x @ y.T / self.config.slope_m**2 + np.exp(-0.5 * square / self.config.bend_m**2)
+        return k
+
+    @property
+    def _n_dofs(self) -> int:
+        return len(self.human.dof_names)
+
+    @cached_property
+    def _hand(self) -> ChainPoints:
+        return ChainPoints(self.human, [HAND])
+
+    @cached_property
+    def _centre(self) -> FloatArray:
+        return np.asarray(self.seen.mean(axis=0))
+
+    @cached_property
+    def _mean_outcome(self) -> FloatArray:
+        return np.asarray(self.outcome.mean(axis=0))
+
+    @cached_property
+    def _inverse(self) -> FloatArray:
+        K = self._kernel(self.seen, self.seen)
+        return np.asarray(np.linalg.inv(K + self.config.noise * np.eye(len(K))), dtype=np.float64)
+
+    @cached_property
+    def _weights(self) -> FloatArray:
+        return self._inverse @ (self.outcome - self._mean_outcome)
+
+    @cached_property
+    def _mean_variance(self) -> float:
+        """Variance with which a reach is predicted that was left out, in units of the bend's; mean over all."""
+        return float((1.0 / np.diag(self._inverse)).mean())
+
+    @cached_property
+    def _covariance(self) -> FloatArray:
+        """Covariance (D, D) of what was left out, drawn towards its diagonal: few reaches say little about the rest."""
+        left_out = self._weights / np.diag(self._inverse)[:, None]
+        n, D = left_out.shape
+        S = left_out.T @ left_out / n
+        share = D / (D + n)
+        drawn: FloatArray = (1.0 - share) * S + np.diag(share * np.diag(S) + _NOISE_VARIANCE)
+        return drawn
+
+
+def start_and_end(q: FloatArray, human: HumanModel) -> tuple[FloatArray, FloatArray]:
+    """Return first and last posture (D,) of a reach (T, D) with continuous angles.
+
+    The start is the median of the first postures, the end is where the hand is farthest from it.
+    """
+    start = np.median(q[:N_START], axis=0)
+    hand = human.forward(np.concatenate([start[None], q]))[HAND]
+    return start, q[int(np.argmax(np.linalg.norm(hand[1:] - hand[0], axis=1)))].copy()
+
+
+def continuous(q: FloatArray, human: HumanModel) -> FloatArray:
+    """Return postures (T, D) whose angles follow from the first on without whole turns."""
+    turns = np.abs(human.joints.linear).sum(axis=1) == 0.0
+    out = q.copy()
+    out[:, turns] = np.unwrap(q[:, turns], axis=0)
+    return out
+
+
+def _arm(human: HumanModel) -> slice:
+    """Return the DoFs beyond the trunk."""
+    return slice(int(human.link_joint[human.link_names.index(TRUNK_END)]), None)
+
+
+def _limits(human: HumanModel) -> tuple[FloatArray, FloatArray]:
+    """Return the limits (D,), infinite for an angle that may be anything: which of its turns it is in is no limit."""
+    turns = np.abs(human.joints.linear).sum(axis=1) == 0.0
+    free = turns & (human.upper - human.lower > 2.0 * np.pi - 1e-3)
+    return np.where(free, -np.inf, human.lower), np.where(free, np.inf, human.upper)
+
+
+def _near(human: HumanModel, q: FloatArray, reference: FloatArray) -> FloatArray:
+    """Return the posture (D,) with each angle within half a turn of a reference (D,)."""
+    turns = np.abs(human.joints.linear).sum(axis=1) == 0.0
+    near: FloatArray = q - np.where(turns, 2.0 * np.pi * np.round((q - reference) / (2.0 * np.pi)), 0.0)
+    return near
+
+
+def _heading(human: HumanModel, q: FloatArray) -> FloatArray:
+    """Return the pose (4, 4) of the body that stands upright and looks where the pelvis does."""
+    pelvis = human.link_poses(q)[human.link_names.index(BODY)]
+    yaw = np.arctan2(pelvis[1, 0], pelvis[0, 0])
+    T = np.eye(4)
+    T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    T[:3, 3] = pelvis[:3, 3]
+    return T
+
+
+def _from_body(T: FloatArray, point_m: FloatArray) -> FloatArray:
+    seen: FloatArray = (point_m - T[:3, 3]) @ T[:3, :3]
+    return seen

@@ -1,0 +1,112 @@
+"""How far a reach under way has got: where it started, how far the hand went, and whether it is on its way back."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.reaching.end_postures import HAND, N_START
+
+#: A hand this much closer to its start than it was at most has turned back; trackers are off by half as much.
+TURNED_M = 0.04
+
+
+class ReachProgress:
+    """Follows one reach, posture by posture; a fixed amount is remembered.
+
+    Attributes:
+        human: whose reach it is.
+    """
+
+    def __init__(self, human: HumanModel) -> None:
+        self.human = human
+        self._hand = human.link_names.index(HAND)
+        self._angles = np.abs(human.joints.linear).sum(axis=1) == 0.0
+        self.start()
+
+    def start(self) -> None:
+        """Forget the reach: the next posture is the first of another."""
+        self._first: list[FloatArray] = []
+        self._q: FloatArray | None = None
+        self._apex: FloatArray | None = None
+        self._reached_m = 0.0
+        self._turned = False
+
+    def update(self, q: FloatArray, hand_m: FloatArray | None = None) -> None:
+        """Take one posture (D,) and, if known already, where its hand (3,) is."""
+        hand = self.human.link_poses(q)[self._hand, :3, 3] if hand_m is None else hand_m
+        now = self._following(q)
+        if len(self._first) < N_START:
+            self._first.append(now)
+            self._start = np.median(self._first, axis=0)
+            self._start_hand = self.human.link_poses(self._start)[self._hand, :3, 3]
+        self._q, self._hand_m = now, np.array(hand)
+        away = float(np.linalg.norm(hand - self._start_hand))
+        if self._apex is None or away >= self._reached_m:
+            self._reached_m, self._apex, self._turned = away, now, False
+        elif away < self._reached_m - TURNED_M:
+            self._turned = True
+
+    @property
+    def seen(self) -> bool:
+        """Whether a posture was seen since `start`."""
+        return self._q is not None
+
+    @property
+    def posture(self) -> FloatArray:
+        """(D,) the posture seen last, its angles following from the first without whole turns."""
+        assert self._q is not None
+        return self._q
+
+    @property
+    def start_posture(self) -> FloatArray:
+        """(D,) where the reach started."""
+        return np.asarray(self._start)
+
+    @property
+    def start_hand_m(self) -> FloatArray:
+        """(3,) where the hand was then, tracker's frame."""
+        return np.asarray(self._start_hand)
+
+    @property
+    def reached_m(self) -> float:
+        """How far the hand has been from there."""
+        return self._reached_m
+
+    @property
+    def apex(self) -> FloatArray:
+        """(D,) the posture in which the hand was farthest from where it started."""
+        assert self._apex is not None
+        return self._apex
+
+    @property
+    def turned(self) -> bool:
+        """Whether the hand is on its way back."""
+        return self._turned
+
+    @property
+    def way_back(self) -> float:
+        """Share of the way back that is done, 0 to 1; 0 while the hand goes out."""
+        if not self._turned:
+            return 0.0
+        away = float(np.linalg.norm(self._hand_m - self._start_hand))
+        return min(max(1.0 - away / self._reached_m, 0.0), 1.0)
+
+    def way_to(self, place_m: FloatArray) -> float:
+        """Return the share of the way to a place (3,) that the hand has done, 0 to 1, if that is where it goes."""
+        way = place_m - self._start_hand
+        length = float(np.linalg.norm(way))
+        if length < 1e-6:
+            return 1.0
+        left = float(np.linalg.norm(place_m - self._hand_m))
+        done = float((self._hand_m - self._start_hand) @ way) / length**2
+        return min(max(0.5 * (done + 1.0 - left / length), 0.0), 1.0)
+
+    def _following(self, q: FloatArray) -> FloatArray:
+        """Return the posture (D,) with angles that follow from those before."""
+        if self._q is None:
+            return np.array(q, dtype=np.float64)
+        turns = np.where(self._angles, np.round((q - self._q) / (2.0 * np.pi)), 0.0)
+        following: FloatArray = q - 2.0 * np.pi * turns
+        return following
