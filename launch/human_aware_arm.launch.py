@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, List  # noqa: UP035 -- launch knows no list[str]
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
@@ -18,7 +18,12 @@ ARGUMENTS = {
     "library": ("synthetic_reaches", "motion library: a shipped name, a rosbag2 directory or a CSV folder"),
     "trajectory": ("0/0", "motion to replay: class/index, or the running number over sorted classes"),
     "model": ("", "model file made by `humanpred train`; empty trains on the library at start"),
-    "predictor": ("swept_volume", "swept_volume (P1), current or current_accumulated (baselines)"),
+    "predictor": (
+        "swept_volume",
+        "swept_volume (P1), forecast, reaching (P2), or a baseline: current, current_accumulated, constant_velocity",
+    ),
+    "human": ("kinect12", "whose postures come: kinect12 (P1, 12 DoFs) or mocap23 (P2, 23 DoFs)"),
+    "reach_goals": ("['']", "predictor reaching: places the hand may go to, as in \"['3 -0.22 -0.67 0.80']\""),
     "record": ("", "folder of the bag, must not exist yet; empty records nothing"),
 }
 # The first start on a machine compiles the planner and trains a model before anybody is ready.
@@ -52,6 +57,8 @@ def graph(context: LaunchContext) -> list[Node]:
             library=text("library"),
             model=text("model"),
             predictor=text("predictor"),
+            human=text("human"),
+            reach_goals=ParameterValue(LaunchConfiguration("reach_goals"), value_type=List[str]),  # noqa: UP006
             listener="stomp_planner",
         ),
     ]

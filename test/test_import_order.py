@@ -10,7 +10,7 @@ from paths import REPOSITORY
 
 ORDER = (
     "recording", "human", "motion", "recognition", "occupancy", "robot", "planning", "reaching",
-    "viewing", "experiments", "nodes", "cli",
+    "predictors", "viewing", "experiments", "nodes", "cli",
 )  # fmt: skip
 SHARED = {"errors", "checks", "compiled", "resources", "__version__"}
 ROS_MODULES = {

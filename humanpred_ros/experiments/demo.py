@@ -15,12 +15,12 @@ from rich.console import Console
 from humanpred_ros import __version__
 from humanpred_ros.errors import UsageError
 from humanpred_ros.experiments.processes import NodeGroup, NodeProcess, ParameterValue, free_domain_id
-from humanpred_ros.human.model import HumanModel
+from humanpred_ros.human.named import human_with, name_of_human
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.occupancy.factory import check_predictor, needs_model
 from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR
+from humanpred_ros.predictors.factory import check_predictor, needs_model, uses_classifier
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.gmm_config import GmmConfig
@@ -94,8 +94,7 @@ def run_demo(options: DemoOptions, console: Console) -> RunSummary:
     check_predictor(options.predictor, options.classifier)
     scene = load_scene(options.scene)
     library = load_library(locate(options.library, "bags"))
-    human = HumanModel.kinect12()
-    human.check_dofs(library.dof_names)
+    human = human_with(library.dof_names)
     motion = library.find(options.trajectory)
     folder = _new_folder(options, scene, motion)
     model = None
@@ -167,7 +166,7 @@ def _start_nodes(group: NodeGroup, options: DemoOptions, bag: Path, motion: Moti
         "rate": options.rate or "",
         "period_s": repr(period_s),
         "predictor": options.predictor,
-        "classifier": options.classifier if needs_model(options.predictor) else "",
+        "classifier": options.classifier if uses_classifier(options.predictor) else "",
         "detect_onsets": options.detect_onsets,
         "threshold": repr(options.threshold),
         "package_version": __version__,
@@ -204,6 +203,7 @@ def _start_nodes(group: NodeGroup, options: DemoOptions, bag: Path, motion: Moti
             "scene": options.scene,
             "model": str(model),
             "predictor": options.predictor,
+            "human": name_of_human(motion.dof_names),
             "classifier": options.classifier,
             "detect_onsets": options.detect_onsets,
             "evidence": options.evidence,

@@ -20,8 +20,8 @@ from humanpred_ros.experiments.graph_bench_run import GraphRun, GraphSetup, run_
 from humanpred_ros.experiments.graph_bench_usage import NodeUsage
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.occupancy.factory import check_predictor, needs_model
 from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR
+from humanpred_ros.predictors.factory import check_predictor, needs_model
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.model_file import save_model
 from humanpred_ros.recognition.training import train_model

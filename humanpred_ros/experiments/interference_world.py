@@ -13,12 +13,13 @@ import numpy as np
 from humanpred_ros.experiments.interference_occupancies import PredictedOccupancies
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.occupancy.factory import needs_model
 from humanpred_ros.occupancy.grid import Occupancy
-from humanpred_ros.occupancy.leave_one_out import FoldSettings, LeaveOneOut, leave_one_out
 from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.planning.replanner_config import ReplannerConfig
+from humanpred_ros.predictors.factory import needs_model
+from humanpred_ros.predictors.folds import FoldSettings, LeaveOneOut
+from humanpred_ros.predictors.leave_one_out import leave_one_out
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.robot.scene import Scene, load_scene

@@ -21,7 +21,7 @@ from humanpred_ros.experiments.occupancy_tables import print_occupancy_evaluatio
 from humanpred_ros.experiments.parallel import usable_cores
 from humanpred_ros.motion.csv_library import DEFAULT_FRAME_PERIOD_S
 from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.occupancy.factory import PREDICTORS
+from humanpred_ros.predictors.factory import PREDICTORS
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.registry import CLASSIFIERS
 from humanpred_ros.resources import locate

@@ -26,12 +26,13 @@ from humanpred_ros.experiments.occupancy_runs import ENDS, LeftOutMotions, Occup
 from humanpred_ros.experiments.occupancy_scores import LOG_CLIP, MISSED_BELOW
 from humanpred_ros.experiments.parallel import map_processes
 from humanpred_ros.human.model import HumanModel
+from humanpred_ros.human.named import human_with
 from humanpred_ros.motion.cleaning import DROP_REASONS, flag_library
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.motion.placement import placed, start_pelvis_m, turn_and_shift
-from humanpred_ros.occupancy.factory import PREDICTORS, needs_model
 from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
+from humanpred_ros.predictors.factory import PREDICTORS, needs_model
 from humanpred_ros.recognition.class_mixtures import check_trainable
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.registry import make_classifier
@@ -108,7 +109,7 @@ def evaluate_occupancy(
     Same library, settings and seed give the same figures, times apart, for any number of processes.
 
     Args:
-        library: of P1's 12-DoF human.
+        library: of P1's 12-DoF human or of P2's 23-DoF one.
         config: how.
         jobs: number of processes.
         progress: called with the number of motions done, of `tested_motions`.
@@ -118,8 +119,7 @@ def evaluate_occupancy(
         HumanPredError: other DoFs, people outside the grid, an unknown scene, classifier or motion.
     """
     config = OccupancyEvaluationConfig() if config is None else config
-    human = HumanModel.kinect12()
-    human.check_dofs(library.dof_names)
+    human = human_with(library.dof_names)
     tested = tested_motions(library, config)
     flags = [flag for flag in flag_library(library, model=human) if flag.reason in DROP_REASONS]
     wrong = frozenset(flag.motion for flag in flags)

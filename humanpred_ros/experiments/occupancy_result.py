@@ -12,6 +12,7 @@ from humanpred_ros.checks import FloatArray
 from humanpred_ros.experiments.evaluation_files import plain
 from humanpred_ros.experiments.occupancy_runs import MotionOutcome, Picture
 from humanpred_ros.experiments.occupancy_scores import BIN_EDGES, Reliability, VoxelScores
+from humanpred_ros.predictors.leave_one_out import learned_from_class
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +94,7 @@ class PredictorResult:
 
     Attributes:
         name, description: as in `factory.PREDICTORS`.
+        learned_from_class: whether it had learned from other motions of the tested one's class: yes, no or –.
         average: over motions and percents.
         without_mistracked: the same without test motions that the tracker plainly got wrong; None if there are none.
         at_percent: over motions, at each percent.
@@ -105,6 +107,7 @@ class PredictorResult:
 
     name: str
     description: str
+    learned_from_class: str
     average: VoxelFigures
     without_mistracked: VoxelFigures | None
     at_percent: VoxelFigures
@@ -127,6 +130,7 @@ class PredictorResult:
         return cls(
             name,
             description,
+            learned_from_class(name),
             at_percent.averaged(),
             VoxelFigures.at_percents(good).averaged() if some_bad else None,
             at_percent,
@@ -165,9 +169,19 @@ class OccupancyEvaluation:
     region_voxels: int
     predictors: tuple[PredictorResult, ...]
 
+    @property
+    def unseen_beside_seen(self) -> float | None:
+        """Brier score of `reaching`, which never saw the class, over that of P1, which has learned it.
+
+        The target is at most 1. None unless both are there.
+        """
+        brier = {result.name: float(result.average.brier) for result in self.predictors}
+        unseen, seen = brier.get("reaching"), brier.get("swept_volume")
+        return unseen / seen if unseen is not None and seen else None
+
     def to_json(self) -> dict[str, Any]:
         """Return everything as plain values; the pictures stay out."""
-        value: dict[str, Any] = plain(self)
+        value: dict[str, Any] = plain(self) | {"unseen_beside_seen": self.unseen_beside_seen}
         for predictor in value["predictors"]:
             del predictor["picture"]
         return value

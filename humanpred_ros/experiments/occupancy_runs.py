@@ -18,9 +18,10 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.placement import placed
 from humanpred_ros.occupancy.grid import VoxelGrid
-from humanpred_ros.occupancy.leave_one_out import FoldSettings, LeaveOneOut, leave_one_out
 from humanpred_ros.occupancy.predictor import OccupancyPredictor
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
+from humanpred_ros.predictors.folds import FoldSettings, LeaveOneOut
+from humanpred_ros.predictors.leave_one_out import leave_one_out
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.training import REACHING_LINK
 
@@ -130,7 +131,7 @@ class LeftOutMotions:
     def _folds(self) -> tuple[LeaveOneOut, ...]:
         s = self.setup
         taught = self._library.select(lambda motion: motion.name not in s.untaught)
-        settings = FoldSettings(taught, s.human, s.grid, s.T_world_human, s.classifier, s.gmm)
+        settings = FoldSettings(taught, s.human, s.grid, s.T_world_human, s.classifier, s.gmm, s.T_shift)
         return tuple(leave_one_out(predictor, settings) for predictor in self.predictors)
 
 

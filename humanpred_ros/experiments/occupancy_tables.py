@@ -16,6 +16,7 @@ from humanpred_ros.experiments.occupancy_result import OccupancyEvaluation, Pred
 _Row = tuple[str, Callable[[PredictorResult], str]]
 
 _AVERAGES: tuple[_Row, ...] = (
+    ("learned from the tested class", lambda r: r.learned_from_class),
     ("Brier score x 1000", lambda r: f"{1e3 * float(r.average.brier):.2f}"),
     ("  as a sum over voxels", lambda r: f"{float(r.average.squared_error):.0f}"),
     (
@@ -48,12 +49,30 @@ def print_occupancy_evaluation(evaluation: OccupancyEvaluation, console: Console
         if evaluation.mistracked or "mistracked" not in title:
             table.add_row(title, *(cell(result) for result in evaluation.predictors))
     console.print(table)
+    _print_unseen(evaluation, console)
     for title, cells in (
         ("Brier score x 1000 by % seen", lambda r: [f"{1e3 * value:.2f}" for value in r.at_percent.brier]),
         ("swept voxels given < 1 % by % seen", lambda r: [_share(value) for value in r.at_percent.missed]),
     ):
         _headline(console, title)
         console.print(_by_percent(evaluation, cells))
+
+
+def _print_unseen(evaluation: OccupancyEvaluation, console: Console) -> None:
+    """Say what it means that one predictor stands beside others that have learned the class."""
+    names = {result.name for result in evaluation.predictors}
+    if "reaching" not in names:
+        return
+    text = (
+        "reaching (P2) has learned from no motion of the tested motion's class; it is told the places of all classes, "
+        "the tested one's from the class's other motions"
+    )
+    if evaluation.unseen_beside_seen is not None:
+        text += (
+            f". Beside swept_volume (P1), which was trained with the class, its Brier score is "
+            f"{evaluation.unseen_beside_seen:.2f} times as large (target: no worse, 1.00)"
+        )
+    console.print(text + "\n", markup=False, highlight=False)
 
 
 def _headline(console: Console, text: str) -> None:

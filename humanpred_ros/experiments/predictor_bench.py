@@ -21,9 +21,9 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.placement import placed, turn_and_shift
-from humanpred_ros.occupancy.factory import PREDICTORS, make_predictor
 from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR, OccupancyPredictor
+from humanpred_ros.predictors.factory import PREDICTORS, make_predictor
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER, IntentClassifier
 from humanpred_ros.recognition.model_file import save_model
 from humanpred_ros.recognition.registry import CLASSIFIERS, trained_classifier

@@ -36,6 +36,7 @@ class GraphNode(Node):
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self.refused: Counter[str] = Counter()
+        self.warnings: dict[str, str] = {}
         self.failure: HumanPredError | None = None
         self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, qos.COMMAND)
         # Steady time: a paused or stepped /clock must not silence the diagnostics.
@@ -67,14 +68,23 @@ class GraphNode(Node):
             self.get_logger().warning(f"refused {reason} (further ones of this kind are only counted)")
         self.refused[kind] += 1
 
+    def warn(self, warnings: dict[str, str]) -> None:
+        """Let these be the warnings that stand, by what they are about; one about something new is logged."""
+        for about in warnings.keys() - self.warnings.keys():
+            self.get_logger().warning(warnings[about])
+        self.warnings = dict(warnings)
+
     def publish_status(self) -> None:
-        """Publish readiness and the counts of refused inputs."""
+        """Publish readiness, the counts of refused inputs, and the warnings that stand."""
         waiting = self.waiting_for()
         status = DiagnosticStatus(
             name=self.get_name(),
-            level=DiagnosticStatus.WARN if waiting or self.refused else DiagnosticStatus.OK,
+            level=DiagnosticStatus.WARN if waiting or self.refused or self.warnings else DiagnosticStatus.OK,
             message=f"waiting for {waiting}" if waiting else READY,
-            values=[KeyValue(key=f"refused/{kind}", value=str(count)) for kind, count in self.refused.items()],
+            values=[
+                *(KeyValue(key=f"refused/{kind}", value=str(count)) for kind, count in self.refused.items()),
+                *(KeyValue(key=f"warning/{about}", value=text) for about, text in self.warnings.items()),
+            ],
         )
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()

@@ -5,27 +5,37 @@ from __future__ import annotations
 import sys
 
 import numpy as np
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
-from humanpred_ros.errors import HumanPredError
-from humanpred_ros.human.model import HumanModel
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.errors import HumanPredError, UsageError
+from humanpred_ros.human.named import human_named
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.nodes import conversions, qos, topics
 from humanpred_ros.nodes.base import GraphNode, run_node
 from humanpred_ros.nodes.markers import occupancy_markers
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.nodes.settings import OccupancyPredictorSettings
-from humanpred_ros.occupancy.factory import check_predictor, make_predictor, needs_model
+from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
+from humanpred_ros.predictors.factory import check_predictor, make_predictor, needs_model
+from humanpred_ros.predictors.reach_goals import goals_from_text, goals_of_scene
+from humanpred_ros.predictors.reach_sources import ReachKnowledge, reach_weights
+from humanpred_ros.reaching.goal_places import GoalPlaces
+from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.model_file import load_model
 from humanpred_ros.recognition.registry import make_classifier
 from humanpred_ros.recognition.training import TrainedModel, train_model
 from humanpred_ros.resources import locate
-from humanpred_ros.robot.scene import load_scene
+from humanpred_ros.robot.scene import Scene, load_scene
 
 _MARKER_PERIOD_NS = 200_000_000
+#: How often it is looked at whether the person can get to the goals; people walk, but not far in that time.
+_REACH_PERIOD_NS = 1_000_000_000
 
 
 class OccupancyPredictorNode(GraphNode):
@@ -34,22 +44,54 @@ class OccupancyPredictorNode(GraphNode):
     A posture that cannot be used is refused with a counted reason on /diagnostics; the planner sees no
     new occupancy then and holds when the last one gets old. A jump back in time or a long silence starts
     a new motion.
+
+    With the predictor `reaching`, the places where the hand may go can be changed while the node runs
+    (parameter `reach_goals`); those that the person cannot get to are warned about on /diagnostics.
     """
 
     def __init__(self) -> None:
         super().__init__("occupancy_predictor")
         self.settings = settings = declare(self, OccupancyPredictorSettings)
         scene = load_scene(settings.scene)
-        self.human = HumanModel.kinect12()
-        learned = needs_model(settings.predictor)
+        self.human = human_named(settings.human)
+        self.T_world_human = scene.T_world_human
         online = {}
         if settings.classifier == "gmm":
             online = {"evidence": settings.evidence, "window_frames": settings.window_frames or None}
         # Named wrongly, these should not cost a training first.
         make_classifier(settings.classifier, GmmConfig(**online) if online else None)
         check_predictor(settings.predictor, settings.classifier)
-        model = self._model() if learned else None
-        self.predictor = make_predictor(
+        told = self._told(list(settings.reach_goals))
+        self.goals_m: FloatArray | None = None
+        self.own_goals: GoalPlaces | None = None
+        self.predictor = (
+            self._reaching(scene, told) if settings.predictor == "reaching" else self._trained(scene, online)
+        )
+        self.origin_ns = 0
+        self.looked_ns: int | None = None
+        self.last_ns: int | None = None
+        self.last_marker_ns = 0
+
+        self.publisher = self.create_publisher(PointCloud2, topics.OCCUPANCY, qos.SENSOR_PUBLISHER)
+        self.goal_publisher = self.create_publisher(PointCloud2, topics.HUMAN_GOALS, qos.SENSOR_PUBLISHER)
+        self.marker_publisher = self.create_publisher(MarkerArray, topics.OCCUPANCY_MARKERS, qos.MARKERS)
+        self.grid_publisher = self.create_publisher(String, topics.VOXEL_GRID, qos.LATCHED)
+        self.grid_publisher.publish(String(data=conversions.grid_description(scene.grid)))
+        self.add_on_set_parameters_callback(self.on_parameters)
+        self.create_subscription(
+            JointState,
+            topics.human_joint_states(settings.body_id),
+            self.on_posture,
+            # One that plans may be slower than its sensor: old postures that queue up would make it ever later.
+            qos.sensor_subscription(settings.lossless, newest_only=settings.predictor == "reaching"),
+        )
+
+    def _trained(self, scene: Scene, online: dict[str, object]) -> OccupancyPredictor:
+        """Return one of the predictors that know classes, or nothing."""
+        settings = self.settings
+        model = self._model() if needs_model(settings.predictor) else None
+        self.goals_m = None if model is None else model.goals_m
+        return make_predictor(
             settings.predictor,
             model,
             self.human,
@@ -59,29 +101,56 @@ class OccupancyPredictorNode(GraphNode):
             onsets=settings.detect_onsets,
             **online,
         )
-        self.T_world_human = scene.T_world_human
-        self.goals_m = None if model is None else model.goals_m
-        self.origin_ns = 0
-        self.last_ns: int | None = None
-        self.last_marker_ns = 0
-
-        self.publisher = self.create_publisher(PointCloud2, topics.OCCUPANCY, qos.SENSOR_PUBLISHER)
-        self.goal_publisher = self.create_publisher(PointCloud2, topics.HUMAN_GOALS, qos.SENSOR_PUBLISHER)
-        self.marker_publisher = self.create_publisher(MarkerArray, topics.OCCUPANCY_MARKERS, qos.MARKERS)
-        self.grid_publisher = self.create_publisher(String, topics.VOXEL_GRID, qos.LATCHED)
-        self.grid_publisher.publish(String(data=conversions.grid_description(scene.grid)))
-        self.create_subscription(
-            JointState,
-            topics.human_joint_states(settings.body_id),
-            self.on_posture,
-            qos.sensor_subscription(settings.lossless),
-        )
 
     def _model(self) -> TrainedModel:
         if self.settings.model:
             return load_model(self.settings.model, self.human)
         self.get_logger().info(f"no model given: training on {self.settings.library}")
         return train_model(load_library(locate(self.settings.library, "bags")), self.human, GmmConfig())
+
+    def _reaching(self, scene: Scene, told: GoalPlaces | None) -> ReachingPredictor:
+        """Return the predictor that knows places; a library without classes is enough for it, given places."""
+        settings = self.settings
+        weights = reach_weights(settings.reach_weights)
+        if settings.model:
+            knowledge = ReachKnowledge.of_model(load_model(settings.model, self.human), self.human)
+        else:
+            self.get_logger().info(f"no model given: learning how people reach from {settings.library}")
+            knowledge = ReachKnowledge.of_library(load_library(locate(settings.library, "bags")), self.human)
+        if knowledge.left_out:
+            self.get_logger().warning(f"mistracked, not learned from: {', '.join(knowledge.left_out)}")
+        self.own_goals = goals_of_scene(scene) or knowledge.places
+        goals = told or self.own_goals
+        onsets = settings.detect_onsets
+        return knowledge.predictor(scene.grid, scene.T_world_human, goals, onsets=onsets, weights=weights)
+
+    def _told(self, entries: list[str]) -> GoalPlaces | None:
+        """Return the places in the parameter reach_goals (UsageError if it cannot be used)."""
+        told = goals_from_text(entries, self.T_world_human)
+        if told is not None and self.settings.predictor != "reaching":
+            raise UsageError(
+                f"parameter reach_goals: wanted the predictor reaching, got {self.settings.predictor}, which knows "
+                "only what its library shows; set predictor to reaching"
+            )
+        return told
+
+    def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Take other goals at run time; everything else is read-only."""
+        for parameter in parameters:
+            if parameter.name != "reach_goals":
+                continue
+            try:
+                goals = self._told(parameter.value or []) or self.own_goals
+                if goals is None:
+                    raise UsageError(
+                        "reach goals: wanted at least one place, got none; neither scene nor library has any"
+                    )
+            except UsageError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            if isinstance(self.predictor, ReachingPredictor):
+                self.predictor.set_goals(goals)
+                self.looked_ns = None
+        return SetParametersResult(successful=True)
 
     def waiting_for(self) -> str:
         return self.unmatched(self.publisher, self.settings.listener)
@@ -104,19 +173,32 @@ class OccupancyPredictorNode(GraphNode):
             self.refuse(str(error))
             return
         self.publisher.publish(conversions.occupancy_cloud(prediction.occupancy, self.settings.threshold, stamp_ns))
-        if prediction.posterior is not None and self.goals_m is not None:
-            # The library's goals, as seen from where this person stands.
-            T = self.T_world_human
-            if prediction.T_library_tracker is not None:
-                T = T @ np.linalg.inv(prediction.T_library_tracker)
-            goals_m = self.goals_m @ T[:3, :3].T + T[:3, 3]
-            posterior = prediction.posterior
-            self.goal_publisher.publish(
-                conversions.goals_cloud(goals_m, posterior.labels, posterior.probability, stamp_ns)
-            )
+        self._publish_goals(prediction, stamp_ns)
+        self._look_at_goals(q, stamp_ns)
         if self.marker_publisher.get_subscription_count() and abs(stamp_ns - self.last_marker_ns) >= _MARKER_PERIOD_NS:
             self.last_marker_ns = stamp_ns
             self.marker_publisher.publish(occupancy_markers(prediction.occupancy, conversions.time_message(stamp_ns)))
+
+    def _publish_goals(self, prediction: Prediction, stamp_ns: int) -> None:
+        """Publish where the hand may go, and how probable each place is."""
+        posterior, T = prediction.posterior, self.T_world_human
+        if isinstance(self.predictor, ReachingPredictor):
+            self.goals_m = self.predictor.goals.places_m
+        if posterior is None or self.goals_m is None:
+            return
+        if prediction.T_library_tracker is not None:
+            # The library's goals, as seen from where this person stands.
+            T = T @ np.linalg.inv(prediction.T_library_tracker)
+        goals_m = self.goals_m @ T[:3, :3].T + T[:3, 3]
+        self.goal_publisher.publish(conversions.goals_cloud(goals_m, posterior.labels, posterior.probability, stamp_ns))
+
+    def _look_at_goals(self, q: FloatArray, stamp_ns: int) -> None:
+        """Warn of places told that this person does not get to."""
+        if not isinstance(self.predictor, ReachingPredictor):
+            return
+        if self.looked_ns is None or abs(stamp_ns - self.looked_ns) >= _REACH_PERIOD_NS:
+            self.looked_ns = stamp_ns
+            self.warn({f"goal {far.label}": str(far) for far in self.predictor.goals.out_of_reach(self.human, q)})
 
 
 def main() -> None:

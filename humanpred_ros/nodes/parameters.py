@@ -15,7 +15,13 @@ from humanpred_ros.nodes import settings as all_settings
 
 Settings = TypeVar("Settings")
 
-_KINDS = {str: "text", bool: "true or false", int: "a whole number", float: "a number with a decimal point"}
+_KINDS = {
+    str: "text",
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number with a decimal point",
+    tuple: "a list of texts",
+}
 #: Declared by rclpy itself, some only once a publisher or subscription asks for them.
 _RCLPY_PREFIXES = ("qos_overrides.",)
 
@@ -40,7 +46,7 @@ def declare(node: Node, settings: type[Settings]) -> Settings:
         elif low is not None:
             descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
         try:
-            values[name] = node.declare_parameter(name, default, descriptor).value
+            values[name] = node.declare_parameter(name, _plain(default), descriptor).value
         except InvalidParameterTypeException as trouble:
             raise UsageError(
                 f"parameter {name} ({description}): wanted {_KINDS[type(default)]}, "
@@ -50,13 +56,22 @@ def declare(node: Node, settings: type[Settings]) -> Settings:
             raise UsageError(
                 f"parameter {name} ({description}): wanted a value from {low} to {high}, got {given[name]!r}"
             ) from trouble
+        if isinstance(default, tuple):
+            # An empty list has no type in ROS, so that it arrives as if nothing had been given.
+            values[name] = default if values[name] is None else tuple(values[name])
     return settings(**values)
+
+
+def _plain(default: Any) -> Any:
+    return list(default) if isinstance(default, tuple) else default
 
 
 def _remedy(name: str, default: Any, value: Any) -> str:
     """Return how to write a value that YAML, which ROS arguments are, has read as another type."""
     if isinstance(default, float) and type(value) is int:
         return f"; write {name}:={value}.0"
+    if isinstance(default, tuple) and isinstance(value, str):
+        return f"; write {name}:=\"['{value}']\""
     if isinstance(default, str) and type(value) in (bool, int, float):
         return f"; quote it for YAML as well as for the shell: \"{name}:='{value}'\""
     return ""

@@ -12,6 +12,8 @@ from typing import Any
 from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR
 from humanpred_ros.planning.replanner import ReplannerConfig
 from humanpred_ros.planning.stomp import StompConfig
+from humanpred_ros.reaching.named_weights import NAMED_WEIGHTS
+from humanpred_ros.reaching.reaching_predictor import DEFAULT_WEIGHTS
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 
 _REPLANNER = ReplannerConfig()
@@ -57,7 +59,18 @@ class OccupancyPredictorSettings:
     evidence: str = setting("sum", "gmm only: sum or mean of the postures' log densities")
     window_frames: int = setting(0, "gmm only: count only so many last postures; 0 counts all", 0, 100000)
     predictor: str = setting(
-        DEFAULT_PREDICTOR, "forecast, swept_volume (P1), or a baseline: current, current_accumulated, constant_velocity"
+        DEFAULT_PREDICTOR,
+        "forecast, swept_volume (P1), reaching (P2), or a baseline: current, current_accumulated, constant_velocity",
+    )
+    human: str = setting("kinect12", "whose postures come: kinect12 (P1, 12 DoFs) or mocap23 (P2, 23 DoFs)")
+    reach_goals: tuple[str, ...] = setting(
+        ("",),
+        "reaching only: where the hand may go, each 'label x y z' (world frame, m); [''] asks scene, then library; "
+        "may be changed at run time",
+        changeable=True,
+    )
+    reach_weights: str = setting(
+        DEFAULT_WEIGHTS, f"reaching only: weights of P2's cost, {', '.join(NAMED_WEIGHTS)}, or a .json file"
     )
     detect_onsets: bool = setting(True, "find where motions begin and end; false: the first posture begins one")
     body_id: str = setting("body_0", "REP-155 body id listened to")

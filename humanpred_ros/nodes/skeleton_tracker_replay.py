@@ -13,7 +13,7 @@ from visualization_msgs.msg import MarkerArray
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import UsageError
-from humanpred_ros.human.model import HumanModel
+from humanpred_ros.human.named import human_with
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.nodes import conversions, qos, topics
 from humanpred_ros.nodes.base import run_node
@@ -43,9 +43,8 @@ class SkeletonTrackerReplay(SteppedSource):
             raise UsageError(f"parameter mode: wanted real_time or stepped, got {settings.mode!r}")
         stepped = settings.mode == "stepped"
         self.simulated_time = stepped or settings.publish_clock or settings.rate != 1.0
-        self.human = HumanModel.kinect12()
         library = load_library(locate(settings.library, "bags"))
-        self.human.check_dofs(library.dof_names)
+        self.human = human_with(library.dof_names)
         self.motion = library.find(settings.trajectory)
         self.offsets_ns, self.postures = self._timeline()
         self.next_frame = 0

@@ -9,7 +9,7 @@ from humanpred_ros.checks import FloatArray
 from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
 from humanpred_ros.recognition.classifier import ClassPosterior
 
-#: What predicts unless told otherwise; `occupancy.factory` knows them all.
+#: What predicts unless told otherwise; `predictors.factory` knows them all.
 DEFAULT_PREDICTOR = "forecast"
 
 

@@ -126,6 +126,10 @@ class StreamClassifier(IntentClassifier):
         self._detector.start()
         self._buffer: deque[tuple[float, FloatArray]] = deque()
 
+    def classes_changed(self) -> None:
+        """Ask the classifier for its classes at the next posture: it has others now. A motion under way goes on."""
+        self._rests = None
+
     def update(self, q: FloatArray, t_s: float) -> ClassPosterior:
         """Take one posture (D,) stamped `t_s` and return the posterior; the prior, with no frames seen, at rest.
 
@@ -143,7 +147,7 @@ class StreamClassifier(IntentClassifier):
         was_moving = before is not None and before.moving and continued
         # What may raise comes before anything is changed.
         posterior = self.classifier.update(q, t_s) if was_moving else None
-        rests = self._tried(q, t_s)
+        rests = self._tried(q, t_s, posterior)
         state = self._detector.update(points, t_s)
         if not continued:
             self._buffer.clear()
@@ -154,11 +158,13 @@ class StreamClassifier(IntentClassifier):
             return replace(rests, t_s=t_s)
         return self._replay(state.since_s, before) if posterior is None else posterior
 
-    def _tried(self, q: FloatArray, t_s: float) -> ClassPosterior:
+    def _tried(self, q: FloatArray, t_s: float, in_motion: ClassPosterior | None) -> ClassPosterior:
         """Return the posterior at rest, after trying a posture at which an onset may be found as the first of a motion.
 
-        Before the first posture of all nobody knows the classes.
+        Before the first posture of all nobody knows the classes. A classifier that is in a motion is not disturbed.
         """
+        if self._rests is None and in_motion is not None:
+            self._rests = self._prior_over(in_motion.labels)
         if self._rests is None or self._detector.may_begin(t_s):
             self.classifier.start()
             labels = self.classifier.update(q, t_s).labels

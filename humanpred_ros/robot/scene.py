@@ -21,6 +21,7 @@ from humanpred_ros.robot.distance_field import DEFAULT_RESOLUTION_M, SignedDista
 from humanpred_ros.robot.goal import Goal as Goal  # part of a scene, so importable from here
 from humanpred_ros.robot.goal_file import GOAL_KEYS, parse_goals
 from humanpred_ros.robot.pr2 import LEFT_ARM_JOINTS, RIGHT_ARM_JOINTS, Pr2Arm
+from humanpred_ros.robot.reach_goal import REACH_GOAL_KEYS, ReachGoal, parse_reach_goals
 from humanpred_ros.robot.scene_file import Section, read_yaml
 from humanpred_ros.robot.shapes import Box, Cylinder, Obstacle, planar_pose
 
@@ -44,9 +45,10 @@ class Scene:
         objects: what stands on it.
         T_world_human: (4, 4) pose of the tracker's frame, in which postures are given.
         grid: the voxels in which human occupancy is predicted.
+        reach_goals: places the person may reach for, with different labels; none: the predictor asks its library.
 
     Raises:
-        SceneError: for no goals, or names used twice.
+        SceneError: for no goals, or names or labels used twice.
         GoalUnreachableError: for a configuration outside the joint limits.
     """
 
@@ -60,6 +62,7 @@ class Scene:
     objects: tuple[Obstacle, ...]
     T_world_human: FloatArray
     grid: VoxelGrid
+    reach_goals: tuple[ReachGoal, ...] = ()
 
     def __post_init__(self) -> None:
         for name, shape in (("T_world_base", (4, 4)), ("T_world_human", (4, 4)), ("left_arm_rad", (7,))):
@@ -68,12 +71,13 @@ class Scene:
         if not self.goals:
             raise SceneError(f"scene {self.name}: wanted at least one goal, got none; add one under goals")
         for what, names in (
-            ("goal", [goal.name for goal in self.goals]),
-            ("object", [obstacle.name for obstacle in self.obstacles]),
+            ("goal names", [goal.name for goal in self.goals]),
+            ("object names", [obstacle.name for obstacle in self.obstacles]),
+            ("reach goal labels", [str(goal.label) for goal in self.reach_goals]),
         ):
             twice = sorted({name for name in names if names.count(name) > 1})
             if twice:
-                raise SceneError(f"scene {self.name}: wanted different {what} names, got {', '.join(twice)} twice")
+                raise SceneError(f"scene {self.name}: wanted different {what}, got {', '.join(twice)} twice")
         start = self.arm.check_configuration(self.start, f"start of scene {self.name}")
         object.__setattr__(self, "start", frozen(start))
         unwrapped = []
@@ -172,7 +176,7 @@ def load_scene(name_or_path: str | Path) -> Scene:
             Section(
                 read_yaml(path),
                 f"scene {path.stem}",
-                ("name", "robot", "start_angle", "goals", "table", "objects", "human", "grid"),
+                ("name", "robot", "start_angle", "goals", "table", "objects", "human", "grid", "reach_goals"),
             )
         )
     except ArrayError as trouble:
@@ -210,6 +214,7 @@ def _parse(top: Section) -> Scene:
             grid.number("resolution_m"),
             _counts(grid.numbers("shape", 3)),
         ),
+        reach_goals=parse_reach_goals(top.sections("reach_goals", REACH_GOAL_KEYS) if "reach_goals" in top else ()),
     )
 
 

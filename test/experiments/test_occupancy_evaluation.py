@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
+from mocap_library import mocap_library
+from rich.console import Console
 from small_library import small_library
 
 from humanpred_ros.checks import FloatArray
@@ -17,13 +20,14 @@ from humanpred_ros.experiments.evaluation_grid import grid_around, swept_region
 from humanpred_ros.experiments.occupancy_evaluation import OccupancyEvaluationConfig, evaluate_occupancy
 from humanpred_ros.experiments.occupancy_result import OccupancyEvaluation
 from humanpred_ros.experiments.occupancy_runs import LeftOutMotions, MotionOutcome, OccupancySetup, until_end
+from humanpred_ros.experiments.occupancy_tables import print_occupancy_evaluation
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.motion.placement import placed, start_pelvis_m, turn_and_shift
 from humanpred_ros.occupancy.grid import Occupancy
-from humanpred_ros.occupancy.leave_one_out import FoldSettings, LeaveOneOut
 from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
+from humanpred_ros.predictors.folds import FoldSettings, LeaveOneOut
 from humanpred_ros.recognition.gmm_config import GmmConfig
 
 HUMAN = HumanModel.kinect12()
@@ -63,7 +67,7 @@ class Told(OccupancyPredictor):
 
 class ToldFolds(LeaveOneOut):
     def __init__(self, settings: FoldSettings, predict: Any) -> None:
-        super().__init__(settings)
+        super().__init__(settings, "told")
         self.predictor = Told(settings, predict)
 
     def without(self, name: str) -> Told:
@@ -202,6 +206,30 @@ def test_somebody_elsewhere_breaks_p1_and_not_the_baselines() -> None:
             float(here.predictors[k].average.brier * here.region_voxels), rel=0.1
         )
     assert float(there.predictors[2].average.missed) > 2 * float(here.predictors[2].average.missed)
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_who_never_saw_the_class_stands_beside_who_learned_it() -> None:
+    evaluation = evaluated(predictors=("current", "swept_volume", "reaching"), every=5)
+    assert [result.learned_from_class for result in evaluation.predictors] == ["–", "yes", "no"]
+    _, p1, unseen = evaluation.predictors
+    ratio = float(unseen.average.brier) / float(p1.average.brier)
+    assert evaluation.unseen_beside_seen == evaluation.to_json()["unseen_beside_seen"] == ratio
+    assert ratio < 1.0, "P2's target: no worse than P1, which was trained with the class"
+    text = io.StringIO()
+    print_occupancy_evaluation(evaluation, Console(file=text, width=200))
+    assert f"its Brier score is {ratio:.2f} times as large (target: no worse, 1.00)" in text.getvalue()
+    assert "learned from no motion of the tested motion's class; it is told the places" in text.getvalue()
+    assert evaluated(predictors=("current",), every=12).unseen_beside_seen is None
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_the_human_is_the_one_whose_dofs_the_library_has() -> None:
+    config = OccupancyEvaluationConfig(predictors=("current", "reaching"), every=4, percents=(30, 60))
+    evaluation = evaluate_occupancy(mocap_library(3, 3, 25), config)
+    now, unseen = evaluation.predictors
+    assert unseen.refused_postures == 0
+    assert float(unseen.average.missed) < 0.5 * float(now.average.missed)
 
 
 @pytest.mark.usefixtures("in_this_process")

@@ -14,7 +14,7 @@ from humanpred_ros.errors import UsageError
 from humanpred_ros.experiments import predictor_bench, predictor_bench_command
 from humanpred_ros.experiments.predictor_bench import Timing
 from humanpred_ros.motion.bag_library import write_library_bag
-from humanpred_ros.occupancy.factory import PREDICTORS
+from humanpred_ros.predictors.factory import PREDICTORS
 from humanpred_ros.recognition.registry import CLASSIFIERS
 
 

@@ -4,8 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from paths import shared_data
 
 from humanpred_ros.errors import BagError, LibraryFormatError
+from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.csv_library import KINECT12_DOFS, write_csv_library
 from humanpred_ros.motion.library_io import import_library, load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
@@ -67,3 +69,50 @@ def test_what_is_no_library_is_said_to_be_none(tmp_path: Path) -> None:
     for path in (tmp_path, tmp_path / "x.mcap"):
         with pytest.raises(BagError, match="wanted"):
             load_library(path)
+
+
+def people(n_motions: int, label: int | None, n_frames: int = 12) -> MotionLibrary:
+    """Return motions of the 23-DoF human, drawn from a seed."""
+    human, rng = HumanModel.mocap23(), np.random.default_rng(5)
+    stand = 0.5 * (np.maximum(human.lower, -0.5) + np.minimum(human.upper, 0.5))
+    path = stand + np.cumsum(rng.normal(0.0, 1e-3, (n_motions, n_frames, len(stand))), axis=1)
+    t_s = np.arange(n_frames) * 0.01
+    return MotionLibrary(
+        "people", tuple(Motion(t_s, q, human.dof_names, label, k, "mocap") for k, q in enumerate(path))
+    )
+
+
+def test_a_library_of_the_23_dof_human_goes_through_csv_and_bag(tmp_path: Path) -> None:
+    wanted = people(2, 3)
+    write_csv_library(wanted, tmp_path / "people")
+    for path in (tmp_path / "people", import_library(tmp_path / "people", tmp_path / "bags")):
+        got = load_library(path)
+        assert (got.dof_names, got.frame_id, got.labels) == (wanted.dof_names, "mocap", (3,))
+        assert all(a.q.tobytes() == b.q.tobytes() for a, b in zip(wanted, got, strict=True))
+
+
+def test_recordings_of_two_people_are_a_library_of_who_reaches(tmp_path: Path) -> None:
+    reaching, beside = people(2, None).motions
+    header = ",".join(("t", *reaching.dof_names))
+    for name in ("0010-0022", "0007-0019"):
+        for role, motion in (("active", reaching), ("passive", beside)):
+            rows = [
+                f"{t!r}," + ",".join(repr(float(x)) for x in q)
+                for t, q in zip(motion.t_s.tolist(), motion.q, strict=True)
+            ]
+            (tmp_path / f"{name}_{role}.csv").write_text("\n".join([header, *rows]))
+    library = load_library(tmp_path)
+    assert [motion.name for motion in library] == ["-/0", "-/1"]
+    assert library.provenance["recordings"] == "-/0 is 0007-0019; -/1 is 0010-0022"
+    np.testing.assert_array_equal(library.motions[1].q, reaching.q)
+    # As a bag it is the same library, and its motions can be replayed by their running numbers.
+    again = load_library(import_library(tmp_path, tmp_path / "bags"))
+    np.testing.assert_array_equal(again.find("1").q, reaching.q)
+    assert again.find("1").label is None
+
+
+def test_the_recordings_of_p2_are_a_library() -> None:
+    library = load_library(shared_data("icra2015/demos"))
+    assert len(library) == 7
+    assert library.dof_names == HumanModel.mocap23().dof_names
+    assert "jumps" in library.provenance["doubtful"]

@@ -25,8 +25,8 @@ from humanpred_ros.experiments.reproduce import compare_bags, replay_run
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion
-from humanpred_ros.occupancy.factory import make_predictor
 from humanpred_ros.planning.replanner import MultiGoalReplanner
+from humanpred_ros.predictors.factory import make_predictor
 from humanpred_ros.recognition.model_file import load_model
 from humanpred_ros.recording.messages import point_cloud2_fields
 from humanpred_ros.recording.reader import BagReader

@@ -209,7 +209,7 @@ def test_loading_stays_light(saved: Path) -> None:
     code = (
         "import sys; from humanpred_ros.human.model import HumanModel; "
         "from humanpred_ros.recognition.model_file import load_model; "
-        "import humanpred_ros.occupancy.factory; "
+        "import humanpred_ros.predictors.factory; "
         f"load_model({str(saved)!r}, HumanModel.kinect12()); "
         "print([m for m in ('sklearn', 'matplotlib') if m in sys.modules])"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,7 +11,7 @@ from small_library import REST, small_library
 
 from humanpred_ros.errors import ArrayError, HumanPredError, MotionError, UsageError
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.recognition.classifier import ClassPosterior
+from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
 from humanpred_ros.recognition.forest_classifier import ForestClassifier, ForestConfig
 from humanpred_ros.recognition.stream import StreamClassifier, StreamConfig
 
@@ -74,6 +75,42 @@ def test_at_rest_the_posterior_is_the_prior() -> None:
             posterior = posteriors[round(at * 60)]
             np.testing.assert_allclose(posterior.given_known, expected)
             assert (posterior.unknown, posterior.n_frames) == (0.1, 0)
+
+
+class Renamed(IntentClassifier):
+    """Says what another classifier says, with other labels once it is told so."""
+
+    offset = 0
+
+    def __init__(self, other: IntentClassifier) -> None:
+        self.other = other
+
+    def fit(self, library: MotionLibrary) -> IntentClassifier:
+        raise NotImplementedError
+
+    def fit_without(self, library: MotionLibrary, name: str) -> IntentClassifier:
+        raise NotImplementedError
+
+    def start(self) -> None:
+        self.other.start()
+
+    def update(self, q: np.ndarray, t_s: float) -> ClassPosterior:
+        posterior = self.other.update(q, t_s)
+        return replace(posterior, labels=tuple(label + self.offset for label in posterior.labels))
+
+
+def test_classes_may_change_at_rest_and_in_motion() -> None:
+    t, q, begins = stream([2, 0])
+    at_rest, moving = round(1.0 * 60), round((begins[1] + 0.8) * 60)
+    classifier = Renamed(ForestClassifier(model=fitted().model))
+    changing, constant = StreamClassifier(classifier), streaming()
+    for k, (posture, stamp) in enumerate(zip(q, t.tolist(), strict=True)):
+        if k in (at_rest, moving):
+            classifier.offset += 1
+            changing.classes_changed()
+        posterior, expected = changing.update(posture, stamp), constant.update(posture, stamp)
+        assert posterior.labels == tuple(label + (k >= at_rest) + (k >= moving) for label in expected.labels)
+        np.testing.assert_array_equal(posterior.probability, expected.probability)
 
 
 def test_what_is_refused_changes_nothing() -> None:

@@ -164,6 +164,31 @@ WRONG: dict[str, tuple[Change, type[HumanPredError], str]] = {
         "shoulder can get to, .* got post within reach of r_shoulder_pan_link",
     ),
     "negative task cost": (lambda s: s["goals"][0].update(task_cost=-1), SceneError, "goal 'red'.*task_cost"),
+    "reach goals that are a mapping": (
+        lambda s: s.update(reach_goals={1: [0.0, 0.0, 0.0]}),
+        SceneError,
+        "wanted a list under reach_goals",
+    ),
+    "reach goal without a place": (
+        lambda s: s.update(reach_goals=[{"label": 1}]),
+        SceneError,
+        r"reach_goals\[0\]: the key place_m is missing",
+    ),
+    "reach goal with a name": (
+        lambda s: s.update(reach_goals=[{"label": "cup", "place_m": [0.0, -0.6, 0.8]}]),
+        SceneError,
+        "wanted a whole number as label, got 'cup'",
+    ),
+    "reach goal in the plane": (
+        lambda s: s.update(reach_goals=[{"label": 1, "place_m": [0.0, -0.6]}]),
+        SceneError,
+        r"reach_goals\[0\]: place_m: wanted shape \(3,\)",
+    ),
+    "reach goals of one label": (
+        lambda s: s.update(reach_goals=[{"label": 1, "place_m": [x, -0.6, 0.8]} for x in (0.0, 0.2)]),
+        SceneError,
+        "different reach goal labels, got 1 twice",
+    ),
     "task cost that is no number": (lambda s: s["goals"][0].update(task_cost="low"), SceneError, "goals.0.: task_cost"),
     "start in the robot itself": (
         lambda s: s.update(start_deg=[20.0, 0.0, -90.0, -130.0, 0.0, -90.0, 0.0]),
@@ -182,6 +207,17 @@ def test_wrong_scenes_are_refused_with_the_reason(wrong: str, tmp_path: Path) ->
     path.write_text(yaml.safe_dump(content))
     with pytest.raises(error, match=words):
         load_scene(path)
+
+
+def test_a_scene_may_say_where_the_person_may_reach(tmp_path: Path) -> None:
+    assert FACE.reach_goals == ()
+    content = yaml.safe_load(share_file("config", "scenes", "face_to_face.yaml").read_text())
+    content["reach_goals"] = [{"label": 3, "place_m": [-0.2, -0.6, 0.8]}, {"label": 12, "place_m": [0.1, -0.5, 0.9]}]
+    path = tmp_path / "places.yaml"
+    path.write_text(yaml.safe_dump(content))
+    goals = load_scene(path).reach_goals
+    assert [goal.label for goal in goals] == [3, 12]
+    np.testing.assert_array_equal([goal.place_m for goal in goals], [[-0.2, -0.6, 0.8], [0.1, -0.5, 0.9]])
 
 
 def tool_pose_of(content: dict[str, Any]) -> dict[str, Any]:

@@ -3,75 +3,40 @@
 from __future__ import annotations
 
 import copy
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import LibraryFormatError
-from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.occupancy.factory import make_predictor, needs_model
 from humanpred_ros.occupancy.forecast import ForecastPredictor
-from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.p1 import SweptVolumePredictor
 from humanpred_ros.occupancy.predictor import OccupancyPredictor
 from humanpred_ros.occupancy.swept_volume import swept_volume
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
+from humanpred_ros.predictors.factory import make_predictor, needs_model
+from humanpred_ros.predictors.folds import FoldSettings, LeaveOneOut
+from humanpred_ros.predictors.unseen_class import UnseenClass
 from humanpred_ros.recognition.class_mixtures import ClassMixtures, fit_class_mixtures, refit_class_mixtures
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER, IntentClassifier
 from humanpred_ros.recognition.forest_classifier import ForestClassifier
 from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.gmm_classifier import GmmClassifier
-from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.mixture import GaussianMixture
 from humanpred_ros.recognition.registry import make_classifier
 from humanpred_ros.recognition.regression import regress
 from humanpred_ros.recognition.training import train_model
 
 
-@dataclass(frozen=True, eq=False)
-class FoldSettings:
-    """What every predictor of an evaluation is made from.
-
-    Attributes:
-        library: of which one motion at a time is left out; a motion that is not in it need not be.
-        human: whose body occupies.
-        grid: the lattice, world frame.
-        T_world_human: (4, 4) from the library's frame to the world.
-        classifier: name of the classifier that recognises the class.
-        gmm: settings of P1's mixtures; also those that its swept volumes are regressed from.
-    """
-
-    library: MotionLibrary
-    human: HumanModel
-    grid: VoxelGrid
-    T_world_human: FloatArray
-    classifier: str = "gmm"
-    gmm: GmmConfig = field(default_factory=GmmConfig)
-
-
-class LeaveOneOut(ABC):
-    """Makes predictors of one kind, each as if trained on the library without one of its motions."""
-
-    def __init__(self, settings: FoldSettings) -> None:
-        self.settings = settings
-
-    @abstractmethod
-    def without(self, name: str) -> OccupancyPredictor:
-        """Return the predictor trained without the motion `name` (`class/index`); raises what training raises."""
-
-
 class Untrained(LeaveOneOut):
     """For predictors that learn nothing: always the same one, started anew."""
 
+    learned_from_class = "–"
+
     def __init__(self, settings: FoldSettings, predictor: str) -> None:
-        super().__init__(settings)
+        super().__init__(settings, predictor)
         self._predictor = make_predictor(predictor, None, settings.human, settings.grid, settings.T_world_human)
 
     def without(self, name: str) -> OccupancyPredictor:
@@ -84,7 +49,7 @@ class TrainedAnew(LeaveOneOut):
     """For any predictor: trains a model on the rest of the library, which takes as long as that takes."""
 
     def __init__(self, settings: FoldSettings, predictor: str) -> None:
-        super().__init__(settings)
+        super().__init__(settings, predictor)
         self._name = predictor
 
     def without(self, name: str) -> OccupancyPredictor:
@@ -100,7 +65,7 @@ class SweptVolumes(LeaveOneOut):
     """For P1's predictor: only the left-out motion's class is learned, regressed and swept anew."""
 
     def __init__(self, settings: FoldSettings, predictor: str = "swept_volume") -> None:
-        super().__init__(settings)
+        super().__init__(settings, predictor)
         self._voxeliser = BodyVoxeliser(settings.human, settings.grid, settings.T_world_human)
         self._phase = np.arange(settings.gmm.n_phase_frames, dtype=np.float64)
 
@@ -146,7 +111,7 @@ class Forecasts(LeaveOneOut):
     """For the default predictor: only trees that learned from the left-out motion are grown anew."""
 
     def __init__(self, settings: FoldSettings, predictor: str = "forecast") -> None:
-        super().__init__(settings)
+        super().__init__(settings, predictor)
 
     def without(self, name: str) -> ForecastPredictor:
         """Return the forecast as if trained without the motion."""
@@ -170,8 +135,8 @@ def _with_phase(classifier: IntentClassifier) -> ClassMixtures | None:
 
 
 #: How predictors are trained without one motion, where there is something to share between the trainings.
-SHARED: Mapping[str, Callable[[FoldSettings, str], LeaveOneOut]] = MappingProxyType(
-    {"swept_volume": SweptVolumes, "forecast": Forecasts}
+SHARED: Mapping[str, type[LeaveOneOut]] = MappingProxyType(
+    {"swept_volume": SweptVolumes, "forecast": Forecasts, "reaching": UnseenClass}
 )
 
 
@@ -185,6 +150,13 @@ def leave_one_out(predictor: str, settings: FoldSettings) -> LeaveOneOut:
     Raises:
         UsageError: an unknown predictor or classifier.
     """
-    if not needs_model(predictor):
-        return Untrained(settings, predictor)
-    return SHARED.get(predictor, TrainedAnew)(settings, predictor)
+    return _kind(predictor)(settings, predictor)
+
+
+def learned_from_class(predictor: str) -> str:
+    """Return whether a predictor of an evaluation has learned from the left-out motion's class: yes, no or –."""
+    return _kind(predictor).learned_from_class
+
+
+def _kind(predictor: str) -> type[LeaveOneOut]:
+    return SHARED.get(predictor, TrainedAnew) if needs_model(predictor) else Untrained

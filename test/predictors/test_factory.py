@@ -10,8 +10,8 @@ from small_library import REST, small_library
 
 from humanpred_ros.errors import UsageError
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.occupancy.factory import PREDICTORS, make_predictor, needs_model
 from humanpred_ros.occupancy.grid import VoxelGrid
+from humanpred_ros.predictors.factory import PREDICTORS, make_predictor, needs_model
 from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.training import TrainedModel, train_model
@@ -55,7 +55,7 @@ def test_online_settings_reach_the_classifier() -> None:
 
 
 def test_what_is_wrong_is_named() -> None:
-    with pytest.raises(UsageError, match="forecast, swept_volume, current, current_accumulated"):
+    with pytest.raises(UsageError, match="forecast, swept_volume, reaching, current, current_accumulated"):
         make_predictor("crystal_ball", trained(), HUMAN, GRID, np.eye(4))
     with pytest.raises(UsageError, match="trained model"):
         make_predictor("swept_volume", None, HUMAN, GRID, np.eye(4))

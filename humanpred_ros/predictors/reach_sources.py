@@ -1,0 +1,148 @@
+"""The predictor `reaching` learns how people reach, not where to: from a library, or from a model trained on one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from humanpred_ros.checks import FloatArray
+from humanpred_ros.errors import UsageError
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.motion import Motion, MotionLibrary
+from humanpred_ros.motion.reach_recordings import ACTIVE, find_jumps
+from humanpred_ros.occupancy.grid import VoxelGrid
+from humanpred_ros.reaching.goal_inference import GoalClassifier, learn_goal_model
+from humanpred_ros.reaching.goal_model import GoalModel
+from humanpred_ros.reaching.goal_places import GoalPlaces, mistracked
+from humanpred_ros.reaching.named_weights import NAMED_WEIGHTS
+from humanpred_ros.reaching.reach_model import ReachModel
+from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
+from humanpred_ros.reaching.weights_file import load_weights
+from humanpred_ros.recognition.training import TrainedModel
+
+
+@dataclass(frozen=True, eq=False)
+class ReachKnowledge:
+    """All that is learned for the predictor `reaching`.
+
+    Attributes:
+        model: how people reach.
+        goal_model: what tells where to.
+        places: where the library's classes end, tracker's frame; None if it has no classes.
+        source: name of the library.
+        left_out: names of the motions that were not learned from: plainly mistracked ones.
+    """
+
+    model: ReachModel
+    goal_model: GoalModel
+    places: GoalPlaces | None
+    source: str
+    left_out: tuple[str, ...] = ()
+
+    @classmethod
+    def of_library(cls, library: MotionLibrary, human: HumanModel) -> ReachKnowledge:
+        """Learn from a library; it needs no classes.
+
+        Raises:
+            HumanModelError: a library of other DoFs than the human's.
+            MotionError: motions that do not suffice.
+        """
+        human.check_dofs(library.dof_names)
+        wrong = _unfit(library, human)
+        fit = [motion for motion in library if motion.name not in wrong] or list(library)
+        return cls(
+            ReachModel.learn(fit, human),
+            # A tracker goes on losing arms: what tells the goal must have seen that.
+            learn_goal_model(library, human),
+            GoalPlaces.of_library(library, human) if library.labels else None,
+            library.name,
+            tuple(motion.name for motion in library if motion.name in wrong),
+        )
+
+    @classmethod
+    def of_model(cls, model: TrainedModel, human: HumanModel) -> ReachKnowledge:
+        """Learn from the motions that a model file remembers.
+
+        Raises:
+            UsageError: a model that was trained for another human.
+        """
+        if model.human_signature != human.signature:
+            raise UsageError(
+                f"predictor: the model was trained for another human than {human.name}; train one for this human"
+            )
+        return cls.of_library(library_of_model(model), human)
+
+    def predictor(
+        self,
+        grid: VoxelGrid,
+        T_world_human: ArrayLike,
+        goals: GoalPlaces | None = None,
+        *,
+        onsets: bool = False,
+        weights: ArrayLike | None = None,
+    ) -> ReachingPredictor:
+        """Return the predictor for these places, or for the library's.
+
+        Args:
+            grid: the lattice, world frame.
+            T_world_human: (4, 4) from the tracker's frame to the world.
+            goals: places of the hand, tracker's frame; the library's if None.
+            onsets: find where motions begin and end.
+            weights: (24,) of P2's cost; the default ones if None.
+
+        Raises:
+            UsageError: no places at all.
+        """
+        places = goals or self.places
+        if places is None:
+            raise UsageError(
+                f"predictor reaching: wanted places where the hand may go, got none, and {self.source} has no classes "
+                "to take them from; give some"
+            )
+        classifier = GoalClassifier(self.model.human, model=self.goal_model, goals=places)
+        return ReachingPredictor(self.model, classifier, grid, T_world_human, onsets=onsets, weights=weights)
+
+
+def library_of_model(model: TrainedModel) -> MotionLibrary:
+    """Return the motions that a model file remembers: evenly spaced postures of each, from first to last.
+
+    Their stamps are not remembered. Each motion is taken to last as long as the library's median one.
+    """
+    exemplars = model.forest.exemplars
+    motions = []
+    for k, name in enumerate(exemplars.names):
+        q = exemplars.q[exemplars.first[k] : exemplars.first[k + 1]]
+        t_s = np.linspace(0.0, model.nominal_duration_s, len(q))
+        label, index = model.labels[int(exemplars.label[k])], int(name.rpartition("/")[2])
+        motions.append(Motion(t_s, q, model.dof_names, label, index, model.frame_id))
+    return MotionLibrary(model.library_name, tuple(motions), model.library_provenance)
+
+
+def reach_weights(name_or_file: str) -> FloatArray:
+    """Return (24,) weights of P2's cost: of a name (`named_weights`), or from a file (`weights_file`).
+
+    Raises:
+        UsageError: no such name, and no JSON file either.
+        ModelFileError: a file that cannot be used.
+    """
+    if name_or_file in NAMED_WEIGHTS:
+        return NAMED_WEIGHTS[name_or_file]
+    if name_or_file.endswith(".json"):
+        return load_weights(name_or_file).weights
+    raise UsageError(
+        f"reach weights: wanted one of {', '.join(NAMED_WEIGHTS)}, or a .json file of learned weights, "
+        f"got {name_or_file!r}"
+    )
+
+
+def _unfit(library: MotionLibrary, human: HumanModel) -> frozenset[str]:
+    """Return the names of motions that nothing should be learned from.
+
+    The arms that a depth camera shows jump in every other motion; where motion capture jumps, a marker was mistaken.
+    """
+    unfit = set(mistracked(library, human))
+    if human.signature == HumanModel.mocap23().signature:
+        unfit.update(motion.name for motion in library if find_jumps(motion, ACTIVE, human))
+    return frozenset(unfit)
