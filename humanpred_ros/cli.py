@@ -78,7 +78,7 @@ def _demo(options: argparse.Namespace) -> int:
 
 
 def _train(options: argparse.Namespace) -> int:
-    from humanpred_ros.human.model import HumanModel
+    from humanpred_ros.human.named import human_with
     from humanpred_ros.motion.library_io import load_library
     from humanpred_ros.recognition.gmm_config import GmmConfig
     from humanpred_ros.recognition.model_file import save_model
@@ -91,7 +91,7 @@ def _train(options: argparse.Namespace) -> int:
         library = library.select(lambda motion: motion.name not in held_out)
     config = GmmConfig(n_components=options.components, phase_feature=not options.no_phase, seed=options.seed)
     with console.status(f"training on {len(library)} motions of {library.name}"):
-        model = train_model(library, HumanModel.kinect12(), config)
+        model = train_model(library, human_with(library.dof_names), config)
     save_model(model, Path(options.out))
     console.print(f"{options.out}: {len(model.labels)} classes from {len(library)} motions of {library.name}")
     return 0
@@ -247,7 +247,8 @@ def command_parser() -> argparse.ArgumentParser:
     demo.add_argument(
         "--predictor",
         default="forecast",
-        help="forecast, swept_volume (P1), or a baseline: current, current_accumulated, constant_velocity",
+        help="forecast, swept_volume (P1), reaching (P2), or a baseline: current, current_accumulated, "
+        "constant_velocity",
     )
     demo.add_argument("--classifier", default="forest", help="forest, or gmm (P1)")
     demo.add_argument("--no-onsets", action="store_true", help="the first posture begins the motion, as in P1")

@@ -20,6 +20,7 @@ from humanpred_ros.recording.messages import point_cloud2_fields
 from humanpred_ros.robot.scene import load_scene
 
 SCENE = load_scene("four_places")
+_DECISION_PERIOD_S = 0.02
 
 
 class PredictorClient(NodeClient):
@@ -46,11 +47,13 @@ class PredictorClient(NodeClient):
         self.posteriors: dict[int, tuple[dict[int, float], NDArray[np.float64]]] = {}
         self.occupancies: dict[int, PointCloud2] = {}
         self.stop_after = stop_after
+        self._decided_ns: int | None = None
 
     def connect(self, node: Node) -> tuple[Publisher, ...]:
         node.create_subscription(PointCloud2, topics.HUMAN_GOALS, self._on_goals, qos.LOSSLESS)
         node.create_subscription(PointCloud2, topics.OCCUPANCY, self._on_occupancy, qos.LOSSLESS)
         self._decisions = node.create_publisher(DiagnosticArray, topics.DECISION, qos.COMMAND)
+        node.create_timer(_DECISION_PERIOD_S, self._send_decision)
         return ()
 
     def connected(self, node: Node) -> bool:
@@ -104,6 +107,15 @@ class PredictorClient(NodeClient):
             self._decide(stamp_ns)
 
     def _decide(self, stamp_ns: int) -> None:
+        self._decided_ns = stamp_ns
+        self._send_decision()
+
+    def _send_decision(self) -> None:
+        """Send the decision there is, once somebody hears it: the first occupancy may come before the replay does."""
+        stamp_ns = self._decided_ns
+        if stamp_ns is None or not self._decisions.get_subscription_count():
+            return
+        self._decided_ns = None
         decision = DiagnosticArray(status=[DiagnosticStatus(name="decision", message="keep")])
         decision.header.stamp = conversions.time_message(stamp_ns)
         self._decisions.publish(decision)

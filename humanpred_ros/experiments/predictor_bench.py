@@ -24,6 +24,8 @@ from humanpred_ros.motion.placement import placed, turn_and_shift
 from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR, OccupancyPredictor
 from humanpred_ros.predictors.factory import PREDICTORS, make_predictor
+from humanpred_ros.predictors.reach_sources import ReachKnowledge
+from humanpred_ros.reaching.goal_places import GoalPlaces
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER, IntentClassifier
 from humanpred_ros.recognition.model_file import save_model
 from humanpred_ros.recognition.registry import CLASSIFIERS, trained_classifier
@@ -35,6 +37,10 @@ from humanpred_ros.resources import locate
 _WARM_UP = 30
 #: Lengths of the motions whose last postures are timed.
 _FRAMES_SEEN = (100, 1000, 10000)
+#: Numbers of places that reaching is timed with, how many first postures, and how far apart places are stacked.
+_GOALS = (1, 2, 4, 8, 16)
+_FIRST_POSTURES = 20
+_HIGHER_M = 0.05
 _POSTURES = "/humans/bodies/body_0/joint_states"
 _OCCUPANCY = "/human_occupancy"
 
@@ -74,7 +80,7 @@ class PredictorBench:
         library: name of the library; motions, classes: its size.
         recognition: by classifier.
         update: whole update by predictor, recognition included, on P1's grid.
-        growth: of the default classifier and predictor.
+        growth: of the default classifier and predictor, and of reaching with the number of places.
         node: posture to occupancy over DDS, at the recorder; None if left out.
     """
 
@@ -120,6 +126,7 @@ def bench_predictor(
         *_with_classes(training, played, human, report),
         *_with_voxels(training, model, played, human, report),
         *_with_frames(training, model, played, human, report),
+        *_with_goals(training, model, played, human, report),
     )
     node = None
     if folder is not None:
@@ -144,8 +151,8 @@ def _with_classes(
         model = train_model(part, human)
         grid = grid_around(library, human)
         found += [
-            Growth("recognition", "classes", n, _timed(model.forest_classifier(human), played)),
-            Growth("update", "classes", n, _timed(_default(model, human, grid), played)),
+            Growth("recognition of the default", "classes", n, _timed(model.forest_classifier(human), played)),
+            Growth("update of the default", "classes", n, _timed(_default(model, human, grid), played)),
         ]
         n *= 2
     return found
@@ -162,7 +169,7 @@ def _with_voxels(
     for resolution_m in (2 * P1_RESOLUTION_M, P1_RESOLUTION_M, P1_RESOLUTION_M / 2):
         grid = grid_around(library, human, resolution_m)
         report(f"{grid.size} voxels")
-        found.append(Growth("update", "voxels", grid.size, _timed(_default(model, human, grid), played)))
+        found.append(Growth("update of the default", "voxels", grid.size, _timed(_default(model, human, grid), played)))
     return found
 
 
@@ -185,7 +192,34 @@ def _with_frames(
             predictor.update(postures[k % len(postures)], k / 60)
             if k >= n_frames - 100:
                 seconds.append(time.perf_counter() - begin)
-        found.append(Growth("update", "frames seen", n_frames, Timing.of(seconds)))
+        found.append(Growth("update of the default", "frames seen", n_frames, Timing.of(seconds)))
+    return found
+
+
+def _with_goals(
+    library: MotionLibrary,
+    model: TrainedModel,
+    played: Sequence[Motion],
+    human: HumanModel,
+    report: Callable[[str], None],
+) -> list[Growth]:
+    """First postures of reaches, when every place is as probable as any other: the most that `reaching` ever does."""
+    found = []
+    knowledge, grid = ReachKnowledge.of_model(model, human), grid_around(library, human)
+    places = GoalPlaces.of_library(library, human).places_m
+    for n_goals in _GOALS:
+        report(f"{n_goals} goals")
+        # The library's places over and over, a little higher each time.
+        higher = np.array([0.0, 0.0, _HIGHER_M])
+        told = np.array([places[k % len(places)] + k // len(places) * higher for k in range(n_goals)])
+        predictor = knowledge.predictor(grid, np.eye(4), GoalPlaces(tuple(range(n_goals)), told))
+        seconds = []
+        for motion in (list(played) * _FIRST_POSTURES)[:_FIRST_POSTURES]:
+            predictor.start()
+            begin = time.perf_counter()
+            predictor.update(motion.q[0], float(motion.t_s[0]))
+            seconds.append(time.perf_counter() - begin)
+        found.append(Growth("update of reaching, 16 futures for each", "goals", n_goals, Timing.of(seconds)))
     return found
 
 

@@ -65,7 +65,7 @@ def _print(bench: PredictorBench, console: Console) -> None:
     for name, timing in bench.update.items():
         _add(table, f"whole update, {name}", timing)
     for row in bench.growth:
-        _add(table, f"{row.name} of the default, {row.size} {row.what}", row.timing)
+        _add(table, f"{row.name}, {row.size} {row.what}", row.timing)
     if bench.node is not None:
         _add(table, "posture to occupancy over DDS, heard by the recorder", bench.node)
     console.print(table)

@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from humanpred_ros.errors import UsageError
 from humanpred_ros.experiments.evaluation_files import check_writable, machine_facts, replacing, write_json
 from humanpred_ros.experiments.parallel import usable_cores
+from humanpred_ros.experiments.recognition_classifiers import EVALUATED, ClassifierConfig
 from humanpred_ros.experiments.recognition_evaluation import EvaluationConfig, evaluate_classifier, n_tasks
 from humanpred_ros.experiments.recognition_reference import (
     ReferenceCurve,
@@ -28,7 +29,6 @@ from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.gmm_config import GmmConfig
-from humanpred_ros.recognition.registry import CLASSIFIERS
 from humanpred_ros.resources import locate
 from humanpred_ros.viewing.plots_recognition import RecognitionCurves, save_recognition_plot
 
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `humanpred evaluate recognition`."""
     parser.add_argument("--library", required=True, help="bag, CSV folder, or the name of a shipped one")
     parser.add_argument(
-        "--classifier", default="all", metavar="NAME", help=f"all, or some of {', '.join(CLASSIFIERS)} (commas between)"
+        "--classifier", default="all", metavar="NAME", help=f"all, or some of {', '.join(EVALUATED)} (commas between)"
     )
     parser.add_argument("--json", metavar="FILE", help="write every figure to FILE")
     parser.add_argument("--plot", metavar="FILE", help="draw recognition rate, reliability and unknown motions (.png)")
@@ -137,8 +137,8 @@ def _choices(options: argparse.Namespace) -> list[ClassifierChoice]:
         window_frames=options.window_frames or None,
         seed=options.seed,
     )
-    names = list(CLASSIFIERS) if options.classifier == "all" else options.classifier.split(",")
-    configs: dict[str, ForestConfig | GmmConfig] = {"forest": ForestConfig(seed=options.seed), "gmm": gmm}
+    names = list(EVALUATED) if options.classifier == "all" else options.classifier.split(",")
+    configs: dict[str, ClassifierConfig] = {"forest": ForestConfig(seed=options.seed), "gmm": gmm}
     choices = [ClassifierChoice(name, configs.get(name)) for name in dict.fromkeys(map(str.strip, names))]
     for choice in choices:
         choice.make()

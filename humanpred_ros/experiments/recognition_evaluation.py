@@ -11,6 +11,7 @@ import numpy as np
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import UsageError
 from humanpred_ros.experiments.parallel import map_processes
+from humanpred_ros.experiments.recognition_classifiers import learned_of_class
 from humanpred_ros.experiments.recognition_reference import ReferenceCurve
 from humanpred_ros.experiments.recognition_result import ClassifierResult, GroupScore, SpeedScore, Timing, UnknownScore
 from humanpred_ros.experiments.recognition_runs import (
@@ -90,8 +91,9 @@ def evaluate_classifier(
 ) -> ClassifierResult:
     """Leave out each motion, and each class, in turn; return what the classifier said about them as figures.
 
-    It sees a left-out motion as a sensor would show it: posture by posture, with stamps; it is not told how long
-    the motion is going to last.
+    A classifier sees a left-out motion as a sensor would show it: posture by posture, with stamps; it is not told how
+    long the motion is going to last. Goal inference learns from no motion of a left-out motion's class, and is told the
+    class's place; with the class left out, it is not told the place either.
 
     Args:
         choice: the classifier.
@@ -126,6 +128,7 @@ def evaluate_classifier(
     return ClassifierResult(
         name=choice.name,
         settings=choice.settings,
+        learned_of_class=learned_of_class(choice.name),
         rate=rate,
         figures=curve_figures(rate),
         reference_rms=None if reference is None else rms_difference(rate, reference.rate),

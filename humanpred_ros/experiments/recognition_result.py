@@ -10,6 +10,8 @@ from humanpred_ros.checks import FloatArray
 from humanpred_ros.experiments.evaluation_files import plain
 from humanpred_ros.experiments.recognition_reference import ReferenceCurve
 from humanpred_ros.experiments.recognition_scores import Calibration, CurveFigures, IntArray
+from humanpred_ros.experiments.recognition_targets import recognition_targets
+from humanpred_ros.experiments.target import Target
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,7 @@ class ClassifierResult:
 
     Attributes:
         name, settings: which classifier.
+        learned_of_class: what it knew of the tested motion's class, in words; nothing of the motion in any case.
         rate: (100,) share of motions whose true class alone is the most probable, after each percent of postures.
         figures: of that curve.
         reference_rms: root mean square difference to the published curve, if there is one.
@@ -122,6 +125,7 @@ class ClassifierResult:
 
     name: str
     settings: Mapping[str, Any]
+    learned_of_class: str
     rate: FloatArray
     figures: CurveFigures
     reference_rms: float | None
@@ -164,4 +168,10 @@ class RecognitionEvaluation:
     def to_json(self) -> dict[str, Any]:
         """Return all of it as JSON knows it."""
         found: dict[str, Any] = plain(self)
+        found["targets"] = plain(self.targets)
         return found
+
+    @property
+    def targets(self) -> tuple[Target, ...]:
+        """What the project wants of these classifiers, beside what was reached."""
+        return recognition_targets({result.name: result.figures for result in self.classifiers})

@@ -13,13 +13,11 @@ import numpy as np
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import HumanPredError, LibraryFormatError
+from humanpred_ros.experiments.recognition_classifiers import ClassifierConfig, make_evaluated
 from humanpred_ros.experiments.recognition_scores import IntArray, percent_indices
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.resampling import resample
 from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
-from humanpred_ros.recognition.forest_config import ForestConfig
-from humanpred_ros.recognition.gmm_config import GmmConfig
-from humanpred_ros.recognition.registry import make_classifier
 
 #: With one of three left out, two are left: the least any classifier learns a class from.
 LEAST_MOTIONS_PER_CLASS = 3
@@ -30,14 +28,14 @@ _MOST_FITS = 5
 
 @dataclass(frozen=True)
 class ClassifierChoice:
-    """Which classifier to evaluate: its name in the registry, and its settings; None for the default ones."""
+    """Which classifier to evaluate: a name of `EVALUATED`, and its settings; None for the default ones."""
 
     name: str
-    config: ForestConfig | GmmConfig | None = None
+    config: ClassifierConfig | None = None
 
     def make(self) -> IntentClassifier:
         """Return a new classifier to be fitted. Raises UsageError for an unknown name, or settings of another."""
-        return make_classifier(self.name, self.config)
+        return make_evaluated(self.name, self.config)
 
     @property
     def settings(self) -> dict[str, Any]:

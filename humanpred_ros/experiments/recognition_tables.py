@@ -9,9 +9,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from humanpred_ros.experiments.recognition_classifiers import REACHING
 from humanpred_ros.experiments.recognition_evaluation import REFUSAL_THRESHOLD
 from humanpred_ros.experiments.recognition_result import ClassifierResult, RecognitionEvaluation
 from humanpred_ros.experiments.recognition_scores import CurveFigures
+from humanpred_ros.experiments.target import targets_table
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 
 _Row = tuple[str, Callable[[ClassifierResult], str], Callable[[CurveFigures], str] | None]
@@ -22,6 +24,10 @@ _LEGEND = (
     f"the motion. Refused: the probability of no class is at least {REFUSAL_THRESHOLD:g}. "
     "Excluded, suspect: flagged beside the library; all other figures count every motion."
 )
+_LEGEND_REACHING = (
+    f"{REACHING} never saw any motion of the class it is tested on, only where its other motions go; the others "
+    f"learned from the class's other motions. Unknown motions: {REACHING} is not given the place."
+)
 
 
 def print_evaluation(evaluation: RecognitionEvaluation, console: Console) -> None:
@@ -31,6 +37,10 @@ def print_evaluation(evaluation: RecognitionEvaluation, console: Console) -> Non
     _headline(console, f"{library['name']}: each of {library['n_motions']} motions left out in turn")
     console.print(_figures_table(evaluation))
     console.print(_LEGEND, style="dim", markup=False, highlight=False)
+    if any(result.name == REACHING for result in results):
+        console.print(_LEGEND_REACHING, style="dim", markup=False, highlight=False)
+    if evaluation.targets:
+        console.print(targets_table(evaluation.targets))
     _headline(console, f"{shown.name}: true class (rows) taken for, at 60 % of the motion")
     console.print(_confusion_table(evaluation, shown))
 
@@ -57,6 +67,7 @@ def _figures_table(evaluation: RecognitionEvaluation) -> Table:
 
 def _rows(evaluation: RecognitionEvaluation) -> Iterator[_Row]:
     first = evaluation.classifiers[0]
+    yield "known of the tested motion's class", lambda r: r.learned_of_class, None
     yield from _curve_rows("", lambda result: result.figures)
     if evaluation.reference is not None:
         yield "rms to the published curve", lambda r: _number(r.reference_rms), None

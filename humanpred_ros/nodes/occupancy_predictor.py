@@ -122,7 +122,9 @@ class OccupancyPredictorNode(GraphNode):
         self.own_goals = goals_of_scene(scene) or knowledge.places
         goals = told or self.own_goals
         onsets = settings.detect_onsets
-        return knowledge.predictor(scene.grid, scene.T_world_human, goals, onsets=onsets, weights=weights)
+        return knowledge.predictor(
+            scene.grid, scene.T_world_human, goals, onsets=onsets, weights=weights, obstacles=scene.obstacles
+        )
 
     def _told(self, entries: list[str]) -> GoalPlaces | None:
         """Return the places in the parameter reach_goals (UsageError if it cannot be used)."""

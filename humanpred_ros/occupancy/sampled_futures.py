@@ -1,4 +1,4 @@
-"""From sampled futures of a body, each a sequence of postures, to the probability that a voxel is going to be touched."""
+"""From sampled futures of a body, sequences of postures, to the probability that a voxel is going to be touched."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,14 +14,17 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.reach_recordings import ACTIVE, find_jumps
 from humanpred_ros.occupancy.grid import VoxelGrid
+from humanpred_ros.occupancy.voxeliser import checked_placement
 from humanpred_ros.reaching.goal_inference import GoalClassifier, learn_goal_model
 from humanpred_ros.reaching.goal_model import GoalModel
 from humanpred_ros.reaching.goal_places import GoalPlaces, mistracked
 from humanpred_ros.reaching.named_weights import NAMED_WEIGHTS
 from humanpred_ros.reaching.reach_model import ReachModel
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
+from humanpred_ros.reaching.scene import ReachScene
 from humanpred_ros.reaching.weights_file import load_weights
 from humanpred_ros.recognition.training import TrainedModel
+from humanpred_ros.robot.shapes import Obstacle
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +86,7 @@ class ReachKnowledge:
         *,
         onsets: bool = False,
         weights: ArrayLike | None = None,
+        obstacles: Sequence[Obstacle] = (),
     ) -> ReachingPredictor:
         """Return the predictor for these places, or for the library's.
 
@@ -91,6 +96,7 @@ class ReachKnowledge:
             goals: places of the hand, tracker's frame; the library's if None.
             onsets: find where motions begin and end.
             weights: (24,) of P2's cost; the default ones if None.
+            obstacles: what stands in a reach's way, world frame.
 
         Raises:
             UsageError: no places at all.
@@ -102,7 +108,10 @@ class ReachKnowledge:
                 "to take them from; give some"
             )
         classifier = GoalClassifier(self.model.human, model=self.goal_model, goals=places)
-        return ReachingPredictor(self.model, classifier, grid, T_world_human, onsets=onsets, weights=weights)
+        scene = ReachScene.of_obstacles(obstacles, np.linalg.inv(checked_placement(T_world_human)))
+        return ReachingPredictor(
+            self.model, classifier, grid, T_world_human, onsets=onsets, weights=weights, scene=scene
+        )
 
 
 def library_of_model(model: TrainedModel) -> MotionLibrary:

@@ -15,7 +15,7 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching.end_postures import EndPostures
 from humanpred_ros.recognition.reach_features import POINTS, point_links
 
-#: Postures along a best reach, start and end among them: within 1 mm of the curves they stand for.
+#: Postures along a best reach, start and end among them: each point stays within 2 mm of the curve they stand for.
 N_ALONG = 13
 
 _N_POINTS = len(POINTS)

@@ -112,20 +112,15 @@ def fit_goal_model(
         ends = EndPostures.learn(tracked, human)
     choices = []
     for lesson in taught:
-        if lesson.end.label not in known.labels:
+        label = lesson.end.label
+        if label is None or label not in known.labels:
             continue
-        true = (
-            known.place(lesson.end.label)
-            if places is not None
-            else _true_place(lesson.end, [each.end for each in taught])
+        seen = (
+            known.with_goal(label, _true_place(lesson.end, [each.end for each in taught])) if places is None else known
         )
-        others = known.places_m[np.array(known.labels) != lesson.end.label]
-        others = others[np.linalg.norm(others - true, axis=1) >= config.apart_m]
-        if len(others):
-            alternatives = np.vstack([true, others])
-            start_q = np.median(lesson.q[:N_START], axis=0)
-            best = [best_reach(human, ends, start_q, place) for place in alternatives]
-            choices.append(_Choice(excess_costs(lesson.rows, alternatives, best), lesson.rows[:, REACHED_M]))
+        choice = _choice(lesson, seen, human, ends, config)
+        if choice is not None:
+            choices.append(choice)
     if not choices:
         return GoalModel.prior()
     weights = _fit_weights(choices)
@@ -145,6 +140,20 @@ class _Choice:
 
     costs: FloatArray
     reached_m: FloatArray
+
+
+def _choice(
+    lesson: ReachLesson, places: GoalPlaces, human: HumanModel, ends: EndPostures, config: GoalConfig
+) -> _Choice | None:
+    """Return a motion's choice among places, None if there is no other one than its own."""
+    true = np.array(places.labels) == lesson.end.label
+    apart = np.linalg.norm(places.places_m - places.places_m[true], axis=1) >= config.apart_m
+    if not apart.any():
+        return None
+    alternatives = np.vstack([places.places_m[true], places.places_m[apart]])
+    start_q = np.median(lesson.q[:N_START], axis=0)
+    best = [best_reach(human, ends, start_q, place) for place in alternatives]
+    return _Choice(excess_costs(lesson.rows, alternatives, best), lesson.rows[:, REACHED_M])
 
 
 def _true_place(end: ReachEnd, ends: Sequence[ReachEnd]) -> FloatArray:

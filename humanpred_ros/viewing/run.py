@@ -219,14 +219,13 @@ def _posterior(entries: list[Entry], clock: RunClock) -> PosteriorTrack:
     columns = [topics.posterior_of(entry.message) for entry in entries]
     if not columns:
         return PosteriorTrack(np.zeros(0), (), np.zeros((0, 0)), np.zeros((0, 3)))
-    labels, _, goals = columns[0]
-    same = [k for k, column in enumerate(columns) if np.array_equal(column[0], labels)]
-    return PosteriorTrack(
-        clock.times(entries[k] for k in same),
-        tuple(int(label) for label in labels),
-        np.array([columns[k][1] for k in same]),
-        goals,
-    )
+    # Goals may come and go; one that is not told of at a moment has no probability then.
+    place = {int(label): goal for labels, _, goals in columns for label, goal in zip(labels, goals, strict=True)}
+    all_labels = tuple(sorted(place))
+    probability = np.zeros((len(columns), len(all_labels)))
+    for row, (labels, told, _) in zip(probability, columns, strict=True):
+        row[[all_labels.index(int(label)) for label in labels]] = told
+    return PosteriorTrack(clock.times(entries), all_labels, probability, np.array([place[n] for n in all_labels]))
 
 
 def _occupancy(entries: list[Entry], grid: VoxelGrid | None, clock: RunClock) -> OccupancyTrack:

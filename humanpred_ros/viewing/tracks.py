@@ -51,9 +51,10 @@ class PosteriorTrack:
 
     Attributes:
         t_s: (T,) strictly increasing.
-        labels: C class labels.
-        probability: (T, C); each row sums to 1 less the probability that the motion is of no class.
-        goals_m: (C, 3) goal place of each class, world frame.
+        labels: C labels of all classes there were, ascending.
+        probability: (T, C); each row sums to 1 less the probability that the motion is of no class; 0 of a class while
+            it was not among those told.
+        goals_m: (C, 3) goal place of each class, world frame; the last one told.
     """
 
     t_s: FloatArray

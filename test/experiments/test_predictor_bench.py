@@ -27,6 +27,7 @@ def test_timings_are_microseconds() -> None:
 
 def test_everything_is_measured_and_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(predictor_bench, "_FRAMES_SEEN", (20, 40))
+    monkeypatch.setattr(predictor_bench, "_GOALS", (1, 3))
     library = write_library_bag(small_library(2, 4, 40), tmp_path / "library")
     out = tmp_path / "bench.json"
     words = ["bench", "predictor", "--library", str(library), "--json", str(out), "--motions", "1", "--no-node"]
@@ -38,7 +39,7 @@ def test_everything_is_measured_and_written(tmp_path: Path, monkeypatch: pytest.
     assert set(bench["update"]) == set(PREDICTORS)
     assert all(timing["n"] == 40 and timing["median_us"] > 0 for timing in bench["update"].values())
     assert {row["what"]: row["size"] for row in bench["growth"]} == {
-        "classes": 4, "voxels": 2457600, "frames seen": 40,
+        "classes": 4, "voxels": 2457600, "frames seen": 40, "goals": 3,
     }  # fmt: skip
     assert bench["node"] is None
     assert bench["machine"]["usable_cores"] >= 1

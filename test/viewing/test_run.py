@@ -110,6 +110,21 @@ def test_steps_of_a_restarted_planner_are_counted_anew_and_told(tmp_path: Path) 
     assert any("counted anew" in text for text in run.notes)
 
 
+def test_goals_that_come_and_go_lose_nothing_of_the_posterior(tmp_path: Path) -> None:
+    told = [((4, 7), (0.25, 0.75)), ((4, 7, 2), (0.125, 0.375, 0.5)), ((2,), (1.0,))]
+    with BagWriter(tmp_path / "bag") as writer:
+        for k, (labels, probability) in enumerate(told):
+            numbers = np.array(labels, dtype=np.float32)
+            fields = {"x": numbers, "y": numbers + k, "z": numbers, "class_id": numbers}
+            fields["probability"] = np.array(probability, dtype=np.float32)
+            cloud = messages.point_cloud2(10_000_000 * k, "world", fields)
+            writer.write_message(run_topics.HUMAN_GOALS, 10_000_000 * k, cloud)
+    posterior = read_run(tmp_path).posterior
+    assert posterior.labels == (2, 4, 7)
+    np.testing.assert_array_equal(posterior.probability, [[0, 0.25, 0.75], [0.5, 0.125, 0.375], [1, 0, 0]])
+    np.testing.assert_array_equal(posterior.goals_m[:, 1], [2 + 2, 4 + 1, 7 + 1])
+
+
 def test_latencies_are_differences_of_the_times_of_sending(full: Run) -> None:
     by_name = {latency.name: latency for latency in full.latencies}
     jitter_s = 1e-9 * np.round(1e6 * (0.4 * np.sin(12.9898 * np.arange(160)) + 0.5))
