@@ -19,8 +19,8 @@ ARGUMENTS = {
     "trajectory": ("0/0", "motion to replay: class/index, or the running number over sorted classes"),
     "model": ("", "model file made by `humanpred train`; empty trains on the library at start"),
     "predictor": (
-        "swept_volume",
-        "swept_volume (P1), forecast, reaching (P2), or a baseline: current, current_accumulated, constant_velocity",
+        "forecast",
+        "forecast, swept_volume (P1), reaching (P2), or a baseline: current, current_accumulated, constant_velocity",
     ),
     "human": ("kinect12", "whose postures come: kinect12 (P1, 12 DoFs) or mocap23 (P2, 23 DoFs)"),
     "reach_goals": ("['']", "predictor reaching: places the hand may go to, as in \"['3 -0.22 -0.67 0.80']\""),
