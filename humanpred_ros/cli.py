@@ -192,20 +192,20 @@ _EXPERIMENTS = {
     "evaluate": (
         "measure against recordings, leaving out what is tested",
         {
-            "recognition": ("recognition_command", "how early and how surely a reach is recognised (P1 Fig. 6)"),
-            "occupancy": ("occupancy_command", "predicted occupancy against the voxels really swept"),
-            "streams": ("stream_command", "onsets, ends and recognition on long streams with pauses"),
-            "interference": ("interference_command", "how much the arm disturbs the person (P1 Table I)"),
-            "switching": ("switching_command", "when the arm changes its goal (P1 Fig. 9)"),
+            "recognition": ("recognition.command", "how early and how surely a reach is recognised (P1 Fig. 6)"),
+            "occupancy": ("occupancy.command", "predicted occupancy against the voxels really swept"),
+            "streams": ("streams.command", "onsets, ends and recognition on long streams with pauses"),
+            "interference": ("interference.command", "how much the arm disturbs the person (P1 Table I)"),
+            "switching": ("switching.command", "when the arm changes its goal (P1 Fig. 9)"),
             "reaching": ("reaching.command", "predicted reaches against recorded (P2 Tables I to III, Figs. 7, 10)"),
         },
     ),
     "bench": (
         "measure how long things take",
         {
-            "predictor": ("predictor_bench_command", "microseconds per posture, what they grow with, and over DDS"),
-            "planner": ("planner_bench_command", "milliseconds per goal beside the C++ floor and NumPy"),
-            "graph": ("graph_bench_command", "posture to trajectory over DDS at 30 Hz, per number of goals"),
+            "predictor": ("predictor_bench.command", "microseconds per posture, what they grow with, and over DDS"),
+            "planner": ("planner_bench.command", "milliseconds per goal beside the C++ floor and NumPy"),
+            "graph": ("graph_bench.command", "posture to trajectory over DDS at 30 Hz, per number of goals"),
         },
     ),
 }

@@ -9,7 +9,7 @@ import numpy as np
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import LibraryFormatError
-from humanpred_ros.experiments.stream_truth import motion_span, palm_speed
+from humanpred_ros.experiments.streams.truth import motion_span, palm_speed
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.resampling import unwrap_angles

@@ -16,7 +16,7 @@ from small_library import REST, small_library
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import ArrayError, MotionError, UsageError
 from humanpred_ros.experiments.evaluation_grid import grid_around
-from humanpred_ros.experiments.occupancy_scores import Reliability
+from humanpred_ros.experiments.occupancy.scores import Reliability
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion

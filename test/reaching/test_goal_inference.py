@@ -22,7 +22,7 @@ from humanpred_ros.errors import (
     MotionError,
     UsageError,
 )
-from humanpred_ros.experiments.recognition_runs import at_speed
+from humanpred_ros.experiments.recognition.runs import at_speed
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.placement import placed, turn_and_shift

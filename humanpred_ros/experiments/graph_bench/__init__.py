@@ -1,0 +1,1 @@
+"""From posture to trajectory over DDS (`humanpred bench graph`)."""

@@ -1,0 +1,1 @@
+"""How much the arm disturbs the person, P1's Table I (`humanpred evaluate interference`)."""

@@ -1,0 +1,1 @@
+"""How long planning takes, beside a C++ floor and NumPy (`humanpred bench planner`)."""

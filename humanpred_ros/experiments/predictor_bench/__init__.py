@@ -1,0 +1,1 @@
+"""How long one posture takes (`humanpred bench predictor`)."""

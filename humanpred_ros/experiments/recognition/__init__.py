@@ -1,0 +1,1 @@
+"""How early and surely motions are recognised (`humanpred evaluate recognition`)."""

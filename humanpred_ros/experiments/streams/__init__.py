@@ -1,0 +1,1 @@
+"""Onsets, ends and recognition on long streams (`humanpred evaluate streams`)."""
