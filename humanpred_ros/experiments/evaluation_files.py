@@ -19,6 +19,7 @@ import numpy as np
 from humanpred_ros import __version__
 from humanpred_ros.errors import UsageError
 from humanpred_ros.experiments.parallel import usable_cores
+from humanpred_ros.motion.motion import MotionLibrary
 
 #: A list of numbers, which reads better on one line.
 _NUMBERS = re.compile(r"\[[-+.\deE\s,nul]+\]")
@@ -85,6 +86,18 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def library_facts(library: MotionLibrary, *, by_class: bool = False, **further: Any) -> dict[str, Any]:
+    """Return what an evaluation says of the recordings it was made with, and what else there is to say of them."""
+    sizes = {label: len(library.of_class(label)) for label in library.labels}
+    return {
+        "name": library.name,
+        "n_motions": len(library),
+        **({"motions_per_class": sizes} if by_class else {}),
+        **further,
+        "provenance": dict(library.provenance),
+    }
 
 
 def machine_facts() -> dict[str, Any]:

@@ -137,7 +137,8 @@ class OccupancyPredictorNode(GraphNode):
         return told
 
     def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Take other goals at run time; everything else is read-only."""
+        """Take other goals at run time, all or none of those set at once; everything else is read-only."""
+        told = []
         for parameter in parameters:
             if parameter.name != "reach_goals":
                 continue
@@ -149,9 +150,10 @@ class OccupancyPredictorNode(GraphNode):
                     )
             except UsageError as error:
                 return SetParametersResult(successful=False, reason=str(error))
-            if isinstance(self.predictor, ReachingPredictor):
-                self.predictor.set_goals(goals)
-                self.looked_ns = None
+            told.append(goals)
+        if told and isinstance(self.predictor, ReachingPredictor):
+            self.predictor.set_goals(told[-1])
+            self.looked_ns = None
         return SetParametersResult(successful=True)
 
     def waiting_for(self) -> str:

@@ -48,7 +48,8 @@ def _read(entry: str) -> tuple[int, FloatArray]:
     try:
         label, *place = entry.split()
         x, y, z = (float(number) for number in place)
-        if not all(map(math.isfinite, (x, y, z))):
+        # Python reads 1_0 as 10; who writes that has made a slip.
+        if "_" in entry or not all(map(math.isfinite, (x, y, z))):
             raise ValueError
         return int(label), np.array([x, y, z])
     except ValueError:

@@ -62,7 +62,7 @@ class ReachKnowledge:
             learn_goal_model(library, human),
             GoalPlaces.of_library(library, human) if library.labels else None,
             library.name,
-            tuple(motion.name for motion in library if motion.name in wrong),
+            tuple(motion.name for motion in library if motion.name in wrong) if len(fit) < len(library) else (),
         )
 
     @classmethod

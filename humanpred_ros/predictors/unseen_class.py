@@ -6,7 +6,7 @@ from functools import cached_property
 
 from humanpred_ros.predictors.folds import FoldSettings, LeaveOneOut
 from humanpred_ros.predictors.reach_sources import ReachKnowledge
-from humanpred_ros.reaching.goal_places import GoalPlaces, ReachEnd, reach_ends
+from humanpred_ros.reaching.goal_places import GoalPlaces, ReachEnd, reach_ends, reaching_for
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
 
 
@@ -28,7 +28,9 @@ class UnseenClass(LeaveOneOut):
         s = self.settings
         label = _class_of(name)
         if label not in self._knowledge:
-            others = s.library.select(lambda motion: _class_of(motion.name) != label)
+            left_out = {end.label for end in self._ends if _class_of(end.name) == label and end.label is not None}
+            strayed = reaching_for(self._ends, left_out)
+            others = s.library.select(lambda motion: motion.name not in strayed)
             self._knowledge[label] = ReachKnowledge.of_library(others, s.human)
         # The left-out motion has no part in its own class's place.
         goals = GoalPlaces.of_ends(self._ends, without_motion=name).moved(s.T_shift)

@@ -12,7 +12,7 @@ Not in P2, which is told the end posture (facts: icra2015, section 5).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -26,8 +26,8 @@ from humanpred_ros.human.model import HumanModel
 HAND, BODY, TRUNK_END = "right_palm", "pelvis", "neck"
 #: The start is the median of so many first postures.
 N_START = 5
-#: Added to every variance: trackers are not better than this, m^2 and rad^2.
-_NOISE_VARIANCE = 1e-6
+#: Nobody ends twice in the same posture: the least standard deviations, also where few reaches were seen.
+_LEAST_M, _LEAST_RAD = 0.02, 0.1
 _STEP_SHARES = (1.0, 0.5, 0.25, 0.125)
 #: In units of a squared standard deviation.
 _CONVERGED = 1e-3
@@ -73,13 +73,6 @@ class EndPosture:
     mean: FloatArray
     covariance: FloatArray
     miss_m: float
-
-    def samples(self, rng: np.random.Generator, count: int) -> FloatArray:
-        """Return `count` postures (count, D) drawn from it."""
-        variance, axes = np.linalg.eigh(self.covariance)
-        normal = rng.standard_normal((count, len(self.mean)))
-        drawn: FloatArray = self.mean + (normal * np.sqrt(np.maximum(variance, 0.0))) @ axes.T
-        return drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +128,7 @@ class EndPostures:
             if not len(q):
                 raise MotionError(f"reach {number}: wanted at least one posture, got none")
             start, end = start_and_end(continuous(q, human), human)
-            T = _heading(human, start)
+            T = standing(human, start)
             hand = human.forward(np.stack([start, end]))[HAND]
             seen.append(np.concatenate([_from_body(T, hand[1]), _from_body(T, hand[0])]))
             row = end - start
@@ -145,10 +138,6 @@ class EndPostures:
         n, D = len(seen), len(human.dof_names)
         return cls(human, np.array(seen).reshape(n, 6), np.array(outcome).reshape(n, D), config)
 
-    def without_bend(self) -> EndPostures:
-        """Return the same reaches with the linear part only."""
-        return replace(self, config=replace(self.config, bend_m=1e3))
-
     def at(self, start: ArrayLike, place_m: ArrayLike) -> EndPosture:
         """Return the end posture of a reach from a posture (D,) to a place (3,) in the tracker's frame.
 
@@ -157,7 +146,7 @@ class EndPostures:
         """
         q = checked("start posture", start, (self._n_dofs,), error=MotionError)
         place = checked("place", place_m, (3,), error=MotionError)
-        T = _heading(self.human, q)
+        T = standing(self.human, q)
         hand = self.human.forward(q)[HAND]
         x = np.concatenate([_from_body(T, place), _from_body(T, hand)])[None]
         k = self._kernel(x, self.seen)
@@ -171,16 +160,17 @@ class EndPostures:
         turned = np.eye(self._n_dofs)
         turned[:3, :3] = T[:3, :3]
         prior = turned @ self._covariance @ turned.T * (unsure / self._mean_variance)
-        return self._touching(end, prior, place)
+        return self._touching(end, prior, place, *_limits(self.human, q))
 
     def mean(self, start: ArrayLike, place_m: ArrayLike) -> FloatArray:
         """Return the most probable end posture (D,); see `at`."""
         return self.at(start, place_m).mean
 
-    def _touching(self, mean: FloatArray, covariance: FloatArray, place: FloatArray) -> EndPosture:
+    def _touching(
+        self, mean: FloatArray, covariance: FloatArray, place: FloatArray, lower: FloatArray, upper: FloatArray
+    ) -> EndPosture:
         """Return the Gaussian given that the hand is at the place: Gauss-Newton, as an iterated Kalman filter."""
         noise = self.config.place_m**2 * np.eye(3)
-        lower, upper = _limits(self.human)
         inverse = np.linalg.inv(covariance)
 
         def cost(q: FloatArray) -> float:
@@ -260,7 +250,10 @@ class EndPostures:
         n, D = left_out.shape
         S = left_out.T @ left_out / n
         share = D / (D + n)
-        drawn: FloatArray = (1.0 - share) * S + np.diag(share * np.diag(S) + _NOISE_VARIANCE)
+        drawn: FloatArray = (1.0 - share) * S + np.diag(share * np.diag(S))
+        slides = np.abs(self.human.joints.linear).sum(axis=1) > 0.0
+        least = np.where(slides, _LEAST_M, _LEAST_RAD) ** 2
+        drawn += np.diag(np.maximum(least - np.diag(drawn), 0.0))
         return drawn
 
 
@@ -287,11 +280,17 @@ def _arm(human: HumanModel) -> slice:
     return slice(int(human.link_joint[human.link_names.index(TRUNK_END)]), None)
 
 
-def _limits(human: HumanModel) -> tuple[FloatArray, FloatArray]:
-    """Return the limits (D,), infinite for an angle that may be anything: which of its turns it is in is no limit."""
+def _limits(human: HumanModel, start: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the limits (D,) of reaches from a posture (D,), in the turn that its angles are in.
+
+    An angle that may be anything has none, and a tracker may count any angle from 0 to a whole turn.
+    """
     turns = np.abs(human.joints.linear).sum(axis=1) == 0.0
     free = turns & (human.upper - human.lower > 2.0 * np.pi - 1e-3)
-    return np.where(free, -np.inf, human.lower), np.where(free, np.inf, human.upper)
+    shift = np.where(
+        turns & ~free, 2.0 * np.pi * np.round((start - 0.5 * (human.lower + human.upper)) / (2 * np.pi)), 0
+    )
+    return np.where(free, -np.inf, human.lower + shift), np.where(free, np.inf, human.upper + shift)
 
 
 def _near(human: HumanModel, q: FloatArray, reference: FloatArray) -> FloatArray:
@@ -301,7 +300,7 @@ def _near(human: HumanModel, q: FloatArray, reference: FloatArray) -> FloatArray
     return near
 
 
-def _heading(human: HumanModel, q: FloatArray) -> FloatArray:
+def standing(human: HumanModel, q: FloatArray) -> FloatArray:
     """Return the pose (4, 4) of the body that stands upright and looks where the pelvis does."""
     pelvis = human.link_poses(q)[human.link_names.index(BODY)]
     yaw = np.arctan2(pelvis[1, 0], pelvis[0, 0])

@@ -8,7 +8,6 @@ the shoulder's rotation the short way, with minimum-jerk timing, is nearer to wh
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -16,7 +15,6 @@ from scipy.spatial.transform import Rotation, Slerp
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import HumanModelError
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.reaching.task import ReachTask
 from humanpred_ros.reaching.trivial import minimum_jerk
 
 #: Makes a reach from start (J,) to goal (J,) at phases (n,) from 0 to 1: (n, J).
@@ -95,14 +93,3 @@ class ShortShoulder:
             apart = [float(np.abs(triple - before).sum()) for triple in near]
             before = found[k] = near[int(np.argmin(apart))]
         return found
-
-
-@dataclass(frozen=True)
-class GuessedReach:
-    """Predicts a reach by a first guess alone; what planning has to improve on."""
-
-    guess: FirstGuess
-
-    def predict(self, task: ReachTask, rng: np.random.Generator) -> FloatArray:
-        """Return the postures (n, J) at the task's stamps; chance plays no part."""
-        return self.guess(task.start, task.goal, task.phase)

@@ -18,13 +18,13 @@ from humanpred_ros.reaching.best_reaches import best_reach
 from humanpred_ros.reaching.goal_features import N_COLUMNS, HandState, observe
 from humanpred_ros.reaching.goal_learning import ReachLesson, fit_goal_model, learn_goal_model, reach_lessons
 from humanpred_ros.reaching.goal_model import GoalConfig, GoalModel
-from humanpred_ros.reaching.goal_places import GoalPlaces, OutOfReach
+from humanpred_ros.reaching.goal_places import GoalPlaces
 from humanpred_ros.reaching.reach_progress import ReachProgress
 from humanpred_ros.recognition.class_mixtures import check_trainable
 from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
 from humanpred_ros.recognition.reach_features import N_START, point_links
 
-__all__ = ["GoalClassifier", "GoalConfig", "GoalModel", "GoalPlaces", "OutOfReach", "learn_goal_model"]
+__all__ = ["GoalClassifier", "GoalConfig", "GoalModel", "GoalPlaces", "learn_goal_model"]
 
 #: More would keep the sensor's next frame waiting.
 _BEST_REACHES_A_POSTURE = 8
@@ -83,13 +83,6 @@ class GoalClassifier(IntentClassifier):
         """Take other places, at any time: the reach under way is judged by them from the next posture on."""
         self._goals = goals
 
-    @property
-    def out_of_reach(self) -> tuple[OutOfReach, ...]:
-        """The places that this person does not get to from where the reach began; empty before its first posture."""
-        if self._goals is None or not self.progress.seen:
-            return ()
-        return self._goals.out_of_reach(self.human, self.progress.start_posture)
-
     def fit(self, library: MotionLibrary) -> GoalClassifier:
         """Learn what parts of a reach count, and take the places of the library's classes; return self.
 
@@ -110,8 +103,8 @@ class GoalClassifier(IntentClassifier):
         """Return a classifier that has learned from no motion of that motion's class.
 
         It knows the place of that class nevertheless, from the class's other motions: the goal is given, how people
-        reach for it is not. Stricter than the interface asks for. Which motions are plainly mistracked is judged once,
-        on the whole library.
+        reach for it is not; nor does it learn from a mislabelled motion that ends there. Stricter than the interface
+        asks for. Which motions are plainly mistracked is judged once, on the whole library.
 
         Raises:
             UsageError: this one was not fitted to the library, or no motion of that name.
@@ -155,8 +148,11 @@ class GoalClassifier(IntentClassifier):
         if np.abs(points).max() > _FARTHEST_M:
             raise ArrayError(f"posture: wanted a body within {_FARTHEST_M:g} m of the tracker, got one beyond; drop it")
         self._last_s = t_s
+        self.progress.update(q)
+        if self.progress.sets_out_again:
+            self.start()
+            return self.update(q, t_s)
         observe(self._state, points, t_s, self._row)
-        self.progress.update(q, points[0])
         best = self._best_reaches(goals)
         log_evidence, unknown = self.model.posterior(self._row, goals.places_m, self.config.unknown_prior, best)
         likelihood = np.exp(log_evidence - log_evidence.max())
@@ -178,6 +174,7 @@ class GoalClassifier(IntentClassifier):
             return None
         wanted = [tuple(place) for place in goals.places_m.tolist()]
         missing = [place for place in dict.fromkeys(wanted) if place not in self._best]
+        self._best = {place: self._best[place] for place in wanted if place in self._best}
         for place in missing[:_BEST_REACHES_A_POSTURE]:
             start_q = self.progress.start_posture
             self._best[place] = best_reach(self.human, self.model.ends, start_q, np.array(place))

@@ -23,7 +23,7 @@ from humanpred_ros.reaching.best_reaches import best_reach
 from humanpred_ros.reaching.end_postures import EndPostures
 from humanpred_ros.reaching.goal_features import N_PARTS, REACHED_M, chosen_postures, excess_costs, reach_so_far
 from humanpred_ros.reaching.goal_model import PRIOR_UNKNOWN, PRIOR_WEIGHTS, GoalConfig, GoalModel, unknown_inputs
-from humanpred_ros.reaching.goal_places import GoalPlaces, ReachEnd, reach_ends, typical_end
+from humanpred_ros.reaching.goal_places import GoalPlaces, ReachEnd, reach_ends, reaching_for, typical_end
 from humanpred_ros.recognition.reach_features import N_START
 
 
@@ -101,9 +101,11 @@ def fit_goal_model(
 ) -> GoalModel:
     """Return the model that lessons teach, the prior one where there is nothing to tell apart.
 
-    Nothing is learned of the labels in `without`, nor are they alternatives; the rest as `learn_goal_model`.
+    Nothing is learned of the labels in `without`, nor from motions mislabelled that end there, nor are they
+    alternatives; the rest as `learn_goal_model`.
     """
-    taught = [lesson for lesson in lessons if lesson.end.label is not None and lesson.end.label not in without]
+    strayed = reaching_for([lesson.end for lesson in lessons], without)
+    taught = [lesson for lesson in lessons if lesson.end.label is not None and lesson.end.name not in strayed]
     known = _known_places([lesson.end for lesson in taught], places, without)
     if known is None:
         return GoalModel.prior()

@@ -24,6 +24,8 @@ from humanpred_ros.recognition.reach_features import FAR, motion_features, point
 #: libraries no place is more than 0.63 m farther from the shoulder at the start than the arm is long.
 LEAN_M = 0.7
 _RIGID_TOLERANCE = 1e-6
+#: No room is larger; and labels travel as float32, which holds whole numbers exactly up to this.
+_FARTHEST_M, _LARGEST_LABEL = 1000.0, 2**24
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class GoalPlaces:
         places_m: (G, 3) where the palm goes, tracker's frame.
 
     Raises:
-        UsageError: no place, or a label given twice.
+        UsageError: no place, a label given twice, or numbers no room has.
         ArrayError: wrong shape, or places that are not finite.
     """
 
@@ -74,6 +76,12 @@ class GoalPlaces:
                 "name each place differently"
             )
         places = checked("goal places", self.places_m, (len(labels), 3))
+        for label, place in zip(labels, places, strict=True):
+            if abs(label) > _LARGEST_LABEL or np.abs(place).max() > _FARTHEST_M:
+                raise UsageError(
+                    f"goal places: wanted labels up to {_LARGEST_LABEL} and places within {_FARTHEST_M:g} m, got "
+                    f"{label!s:.20} at {place.tolist()}; check the units"
+                )
         object.__setattr__(self, "labels", labels)
         object.__setattr__(self, "places_m", frozen(places))
 
@@ -197,6 +205,25 @@ def reach_ends(library: MotionLibrary, human: HumanModel) -> tuple[ReachEnd, ...
         features = motion_features(human.link_poses(motion.q)[:, links][..., :3, 3])
         ends.append(ReachEnd(motion.name, motion.label, features[-1, FAR : FAR + 3].copy(), motion.name not in wrong))
     return tuple(ends)
+
+
+def reaching_for(ends: Sequence[ReachEnd], labels: Collection[int]) -> frozenset[str]:
+    """Return the names of motions of these labels, and of those that end nearer to their places than to their own.
+
+    What must not have been seen by somebody who is said to know nothing of a class: labels may be wrong.
+    """
+    ofs: dict[int, list[ReachEnd]] = {}
+    for end in ends:
+        if end.label is not None:
+            ofs.setdefault(end.label, []).append(end)
+    places = {label: typical_end(group) for label, group in ofs.items()}
+    found = set()
+    for end in ends:
+        distance = {label: float(np.linalg.norm(end.place_m - place)) for label, place in places.items()}
+        own = distance.get(end.label, np.inf) if end.label is not None else np.inf
+        if end.label in labels or any(label in labels and distance[label] < own for label in distance):
+            found.add(end.name)
+    return frozenset(found)
 
 
 def mistracked(library: MotionLibrary, human: HumanModel) -> Collection[str]:

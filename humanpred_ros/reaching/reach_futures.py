@@ -18,11 +18,12 @@ from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.occupancy.forecast_config import MOST_FUTURES
 from humanpred_ros.planning.stomp import StompConfig
-from humanpred_ros.reaching.end_postures import EndPosture
+from humanpred_ros.reaching.end_postures import EndPosture, standing
 from humanpred_ros.reaching.posture_bounds import PostureBounds
 from humanpred_ros.reaching.prediction import ReachPlanner, ReachPlannerConfig, unit_deviation
 from humanpred_ros.reaching.reach_model import ReachModel
 from humanpred_ros.reaching.reach_progress import ReachProgress
+from humanpred_ros.reaching.reach_shape import ReachShape
 from humanpred_ros.reaching.scene import ReachScene
 
 #: STOMP needs some noise for every DoF.
@@ -37,7 +38,7 @@ class ReachFuturesConfig:
 
     Attributes:
         n_samples: futures for each place, 2 to 32; even, as every draw has its mirror image.
-        step_m: successive postures of a future are so far apart, where the hand goes.
+        step_m: a future has one posture for so much of the straight way of the hand.
         planned: whether STOMP plans the most probable way; without, it is the straight line and its bow.
         stomp: how it plans: a short way, from a good guess, needs few waypoints and updates. The noise is not taken
             from here, but from what people vary.
@@ -94,9 +95,9 @@ class ReachFutures:
         half = np.random.default_rng(c.seed).standard_normal((c.n_samples // 2, 3, len(human.dof_names)))
         #: (S, 3, D) draws of end posture, way and posture after the return.
         self._draws = np.concatenate([half, -half])
-        self._between = _root(model.shape.variation)
         # Start and place stay the same while a reach lasts.
         self._end = lru_cache(maxsize=_MOST_ENDS)(self._end_from)
+        self._shape = lru_cache(maxsize=_MOST_ENDS)(self._shape_from)
         # Those that return are spread over the draws.
         order = np.random.default_rng(c.seed).permutation(c.n_samples)
         returning = round(model.returning * c.n_samples)
@@ -112,14 +113,17 @@ class ReachFutures:
         if progress.turned:
             return self._back(progress, np.repeat(progress.apex[None], self.config.n_samples, axis=0))
         done = progress.way_to(place_m)
-        end = self.model.shape.given(self._end(start.tobytes(), place_m.tobytes()), start, now, done, way_m)
+        end = self._shape(start.tobytes())[0].given(
+            self._end(start.tobytes(), place_m.tobytes()), start, now, done, way_m
+        )
         ends = end.mean + self._draws[:, 0] @ _root(end.covariance).T
-        share = np.linspace(done, 1.0, self._n_postures((1.0 - done) * way_m))
-        out = self._between_ends(start, ends, share, way_m)
-        left = ((1.0 - share) / max(1.0 - done, 1e-9))[:, None]
+        n = self._n_postures(float(np.linalg.norm(place_m - progress.hand_m)))
+        share = np.linspace(done, 1.0, n)
+        out = self._between_ends(start, start, ends, share, way_m)
+        left = np.linspace(1.0, 0.0, n)[:, None]
         out += left * (now - out[:, :1])
         if self.config.planned and done < 1.0:
-            out += self._planned(now, end, share, way_m)
+            out += self._planned(start, now, end, share, way_m)
         if not len(self._returns):
             return out
         back = self._back(progress, ends, way_m)
@@ -130,6 +134,14 @@ class ReachFutures:
     def _end_from(self, start: bytes, place_m: bytes) -> EndPosture:
         return self.model.ends.at(np.frombuffer(start), np.frombuffer(place_m))
 
+    def _shape_from(self, start: bytes) -> tuple[ReachShape, FloatArray, FloatArray]:
+        """Return the shape of reaches from a posture, and roots of the variances on the way and at rest."""
+        R = standing(self.model.human, np.frombuffer(start))[:3, :3]
+        shape = self.model.shape.turned(R)
+        turn = np.eye(len(shape.variation))
+        turn[:3, :3] = R
+        return shape, turn @ _root(self.model.shape.variation), turn * self.model.rest_deviation
+
     def _back(self, progress: ReachProgress, ends: FloatArray, way_m: float | None = None) -> FloatArray:
         """Return the ways back (S, N, D) from end postures (S, D), from the present one if the hand has turned."""
         start = progress.start_posture
@@ -137,32 +149,34 @@ class ReachFutures:
         if way_m is None:
             way_m = progress.reached_m
         share = np.linspace(1.0 - progress.way_back if under_way else 1.0, 0.0, self._n_postures(way_m))
-        rest = self.model.rest_after(start)
-        rests = rest.mean + self._draws[:, 2] @ _root(rest.covariance).T
-        back = self._between_ends(rests, ends, share, way_m)
+        rests = start + self._draws[:, 2] @ self._shape(start.tobytes())[2].T
+        back = self._between_ends(start, rests, ends, share, way_m)
         if under_way:
-            left = (share / max(share[0], 1e-9))[:, None]
+            left = np.linspace(1.0, 0.0, len(share))[:, None]
             back += left * (progress.posture - back[:, :1])
         return back
 
-    def _between_ends(self, start: FloatArray, ends: FloatArray, share: FloatArray, way_m: float) -> FloatArray:
-        """Return postures (S, N, D) at shares (N,) of ways from start (D,) or (S, D) to ends (S, D)."""
-        first = np.broadcast_to(start, ends.shape)[:, None]
-        line = first + share[:, None] * (ends[:, None] - first)
-        varied = self._draws[:, 1] @ self._between.T
+    def _between_ends(
+        self, start: FloatArray, near: FloatArray, far: FloatArray, share: FloatArray, way_m: float
+    ) -> FloatArray:
+        """Return postures (S, N, D) at shares (N,) of ways from near (S, D) or (D,) to far (S, D)."""
+        shape, root, _ = self._shape(start.tobytes())
+        first = np.broadcast_to(near, far.shape)[:, None]
+        line = first + share[:, None] * (far[:, None] - first)
+        varied = self._draws[:, 1] @ root.T
         postures: FloatArray = (
-            line
-            + self.model.shape.bow_at(share, way_m)
-            + np.sqrt(4.0 * share * (1.0 - share))[:, None] * varied[:, None]
+            line + shape.bow_at(share, way_m) + np.sqrt(4.0 * share * (1.0 - share))[:, None] * varied[:, None]
         )
         return postures
 
-    def _planned(self, now: FloatArray, end: EndPosture, share: FloatArray, way_m: float) -> FloatArray:
+    def _planned(
+        self, start: FloatArray, now: FloatArray, end: EndPosture, share: FloatArray, way_m: float
+    ) -> FloatArray:
         """Return by how much the planned way (N, D) differs from the one it began with, at shares (N,)."""
         n = self.config.stomp.n_waypoints
         evenly = np.linspace(share[0], 1.0, n)
-        first = self.model.shape.bow_at(evenly[:1], way_m)[0]
-        guess = self.model.shape.bow_at(evenly, way_m)
+        guess = self._shape(start.tobytes())[0].bow_at(evenly, way_m)
+        first = guess[0].copy()
         left = (1.0 - evenly) / (1.0 - evenly[0])
         guess = guess + left[:, None] * (now - first) + (1.0 - left)[:, None] * end.mean
         duration_s = max((1.0 - share[0]) * way_m * self.model.pace_s_m, _LEAST_DURATION_S)

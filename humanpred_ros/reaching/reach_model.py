@@ -11,7 +11,7 @@ from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import MotionError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
-from humanpred_ros.reaching.end_postures import HAND, EndPosture, EndPostures, EndPosturesConfig, continuous
+from humanpred_ros.reaching.end_postures import HAND, EndPostures, EndPosturesConfig, continuous
 from humanpred_ros.reaching.reach_shape import ReachShape
 
 #: A motion whose hand ends this much nearer to where it started than it was at most is one of a reach and its return.
@@ -96,7 +96,3 @@ class ReachModel:
             float(np.clip(np.median(paces), 0.1, 10.0)),
             tuple(motion.name for motion in motions),
         )
-
-    def rest_after(self, start: FloatArray) -> EndPosture:
-        """Return the posture in which somebody is after returning from a reach that began in `start` (D,)."""
-        return EndPosture(start, np.diag(self.rest_deviation**2), 0.0)

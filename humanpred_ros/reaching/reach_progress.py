@@ -10,6 +10,9 @@ from humanpred_ros.reaching.end_postures import HAND, N_START
 
 #: A hand this much closer to its start than it was at most has turned back; trackers are off by half as much.
 TURNED_M = 0.04
+#: Somebody who came back to less than this share of the way, and goes out again by so much, reaches anew.
+_BACK_SHARE, _SET_OUT_M = 0.5, 0.06
+_N_CALM = 3
 
 
 class ReachProgress:
@@ -28,36 +31,47 @@ class ReachProgress:
     def start(self) -> None:
         """Forget the reach: the next posture is the first of another."""
         self._first: list[FloatArray] = []
-        self._q: FloatArray | None = None
+        self._recent: list[FloatArray] = []
         self._apex: FloatArray | None = None
         self._reached_m = 0.0
         self._turned = False
+        self._nearest_m = np.inf
+        self._sets_out_again = False
 
-    def update(self, q: FloatArray, hand_m: FloatArray | None = None) -> None:
-        """Take one posture (D,) and, if known already, where its hand (3,) is."""
-        hand = self.human.link_poses(q)[self._hand, :3, 3] if hand_m is None else hand_m
+    def update(self, q: FloatArray) -> None:
+        """Take one posture (D,). One wild posture, of a tracker that lost the arm for a frame, changes nothing."""
         now = self._following(q)
+        self._recent = [*self._recent[-2:], now]
         if len(self._first) < N_START:
             self._first.append(now)
             self._start = np.median(self._first, axis=0)
-            self._start_hand = self.human.link_poses(self._start)[self._hand, :3, 3]
-        self._q, self._hand_m = now, np.array(hand)
-        away = float(np.linalg.norm(hand - self._start_hand))
+            self._start_hand = self._hand_of(self._start)
+        # The median of three forgives a tracker one wild posture.
+        calm = np.median(self._recent, axis=0) if len(self._recent) == _N_CALM else now
+        self._hand_m = self._hand_of(calm)
+        away = float(np.linalg.norm(self._hand_m - self._start_hand))
         if self._apex is None or away >= self._reached_m:
-            self._reached_m, self._apex, self._turned = away, now, False
+            self._reached_m, self._apex, self._turned = away, calm, False
         elif away < self._reached_m - TURNED_M:
             self._turned = True
+        self._nearest_m = min(self._nearest_m, away) if self._turned else np.inf
+        came_back = self._nearest_m < _BACK_SHARE * self._reached_m
+        self._sets_out_again = came_back and away > self._nearest_m + _SET_OUT_M
 
     @property
     def seen(self) -> bool:
         """Whether a posture was seen since `start`."""
-        return self._q is not None
+        return bool(self._recent)
+
+    @property
+    def sets_out_again(self) -> bool:
+        """Whether the hand, most of the way back, goes out anew: somebody who does one reach after another."""
+        return self._sets_out_again
 
     @property
     def posture(self) -> FloatArray:
         """(D,) the posture seen last, its angles following from the first without whole turns."""
-        assert self._q is not None
-        return self._q
+        return self._recent[-1]
 
     @property
     def start_posture(self) -> FloatArray:
@@ -68,6 +82,11 @@ class ReachProgress:
     def start_hand_m(self) -> FloatArray:
         """(3,) where the hand was then, tracker's frame."""
         return np.asarray(self._start_hand)
+
+    @property
+    def hand_m(self) -> FloatArray:
+        """(3,) where the hand is, tracker's frame; one wild posture forgiven."""
+        return np.asarray(self._hand_m)
 
     @property
     def reached_m(self) -> float:
@@ -105,8 +124,12 @@ class ReachProgress:
 
     def _following(self, q: FloatArray) -> FloatArray:
         """Return the posture (D,) with angles that follow from those before."""
-        if self._q is None:
+        if not self._recent:
             return np.array(q, dtype=np.float64)
-        turns = np.where(self._angles, np.round((q - self._q) / (2.0 * np.pi)), 0.0)
+        before = np.median(self._recent, axis=0)
+        turns = np.where(self._angles, np.round((q - before) / (2.0 * np.pi)), 0.0)
         following: FloatArray = q - 2.0 * np.pi * turns
         return following
+
+    def _hand_of(self, q: FloatArray) -> FloatArray:
+        return self.human.link_poses(q)[self._hand, :3, 3]

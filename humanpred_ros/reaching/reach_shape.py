@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import MotionError
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.reaching.end_postures import HAND, EndPosture, continuous, start_and_end
+from humanpred_ros.reaching.end_postures import HAND, EndPosture, continuous, standing, start_and_end
 
 #: Shares of the way at which the bow is kept.
 N_SHARES = 21
@@ -26,7 +26,7 @@ _LEAST_WAY_M = 0.05
 
 @dataclass(frozen=True, eq=False)
 class ReachShape:
-    """Bow and variation of reaches between their ends.
+    """Bow and variation of reaches between their ends; the pelvis' way is as seen from where the body looks.
 
     Attributes:
         bow: (N_SHARES, D) what a reach whose hand goes one metre has beyond the straight line, by share of the way.
@@ -67,6 +67,7 @@ class ReachShape:
             keep = np.concatenate([np.diff(done) > 0.0, [True]])
             line = start + done[keep, None] * (end - start)
             rest = q[: last + 1][keep] - line
+            rest[:, :3] = rest[:, :3] @ standing(human, start)[:3, :3]
             beyond.append(np.stack([np.interp(shares, done[keep], column) for column in rest.T], axis=1))
             beyond[-1][[0, -1]] = 0.0
             ways.append(away[last])
@@ -80,6 +81,12 @@ class ReachShape:
         S = middle.T @ middle / n
         share = D / (D + n)
         return cls(bow, (1.0 - share) * S + np.diag(share * np.diag(S) + _NOISE_VARIANCE))
+
+    def turned(self, R: FloatArray) -> ReachShape:
+        """Return the shape of reaches of a body turned by a rotation (3, 3) about the vertical."""
+        turn = np.eye(len(self.variation))
+        turn[:3, :3] = R
+        return ReachShape(self.bow @ turn.T, turn @ self.variation @ turn.T)
 
     def bow_at(self, share: FloatArray, way_m: float) -> FloatArray:
         """Return the bow (N, D) at shares (N,) of a way of the hand."""

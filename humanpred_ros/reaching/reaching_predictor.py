@@ -38,8 +38,8 @@ class ReachingConfig:
     Attributes:
         futures: how the rest of a reach is sampled.
         sweep: how samples become voxels.
-        least_probability: places less probable than this are given no futures, nor are places out of reach; their
-            probability goes to the others.
+        least_probability: places less probable than this are given no futures, nor are places out of reach, unless all
+            are; their probability goes to the others.
     """
 
     futures: ReachFuturesConfig = field(default_factory=ReachFuturesConfig)
@@ -146,11 +146,10 @@ class ReachingPredictor(OccupancyPredictor):
             # One way back, wherever from.
             yield np.full(n, 1.0 / n), self._futures.towards(progress, goals.places_m[0])
             return
-        far = {place.label for place in goals.out_of_reach(self.human, progress.start_posture)}
-        share = np.where([label in far for label in goals.labels], 0.0, probability)
+        far = np.isin(goals.labels, [place.label for place in goals.out_of_reach(self.human, progress.start_posture)])
+        # Told only places that nobody gets to, it is better to expect a reach that way than none at all.
+        share = probability if far.all() else np.where(far, 0.0, probability)
         share = np.where(share >= min(self.config.least_probability, share.max()), share, 0.0)
-        if not share.any():
-            return
         for probable, place in zip((share / share.sum()).tolist(), goals.places_m, strict=True):
             if probable > 0.0:
                 yield np.full(n, probable / n), self._futures.towards(progress, place)

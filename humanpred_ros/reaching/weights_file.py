@@ -69,7 +69,9 @@ def load_weights(path: str | Path) -> ReachWeights:
     try:
         value = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, ValueError, RecursionError) as trouble:
-        raise ModelFileError(f"weights {path}: could not be read ({trouble}); learn them again") from trouble
+        raise ModelFileError(
+            f"weights {path}: could not be read ({trouble}); check the path, or learn them again"
+        ) from trouble
     if not isinstance(value, dict) or value.get("format") != FORMAT or value.get("format_version") != FORMAT_VERSION:
         came = [value.get("format"), value.get("format_version")] if isinstance(value, dict) else type(value).__name__
         raise ModelFileError(

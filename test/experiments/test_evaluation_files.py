@@ -8,9 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_library import small_library
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.experiments.evaluation_files import check_writable, machine_facts, plain, replacing, write_json
+from humanpred_ros.experiments.evaluation_files import (
+    check_writable,
+    library_facts,
+    machine_facts,
+    plain,
+    replacing,
+    write_json,
+)
 
 
 @dataclass(frozen=True)
@@ -64,3 +72,11 @@ def test_where_nothing_can_be_written_is_said_beforehand(tmp_path: Path) -> None
 
 def test_machine_facts_say_what_times_depend_on() -> None:
     assert set(machine_facts()) >= {"package_version", "python", "usable_cores"}
+
+
+def test_library_facts_say_what_was_evaluated() -> None:
+    library = small_library(n_classes=2, n_motions=3)
+    facts = library_facts(library, held_out_together=5)
+    assert list(facts) == ["name", "n_motions", "held_out_together", "provenance"]
+    assert (facts["name"], facts["n_motions"], facts["held_out_together"]) == (library.name, 6, 5)
+    assert library_facts(library, by_class=True)["motions_per_class"] == dict.fromkeys(library.labels, 3)

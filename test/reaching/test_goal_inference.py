@@ -231,18 +231,22 @@ def test_it_runs_on_a_stream() -> None:
     assert p[60 + 34, :4].argmax() == 1
 
 
-def test_goals_out_of_reach_are_reported_and_inference_goes_on() -> None:
+def test_goals_out_of_reach_do_not_disturb_inference() -> None:
     goals, motion = fitted().goals, unseen(0)
     assert goals is not None
     classifier = fresh(goals.with_goal(9, [6.0, 0.0, 1.0]))
-    assert classifier.out_of_reach == ()
-    p = answers(classifier, motion)
-    (far,) = classifier.out_of_reach
-    assert far.label == 9
-    assert far.distance_m > far.limit_m
-    assert p[34].argmax() == 0
-    classifier.set_goals(goals)
-    assert classifier.out_of_reach == ()
+    assert answers(classifier, motion)[34].argmax() == 0
+
+
+def test_one_reach_after_another_without_rest_is_judged_anew() -> None:
+    goals = fitted().goals
+    assert goals is not None
+    first, second = unseen(0), unseen(2)
+    there, back = first.q, first.q[::-1]
+    q = np.vstack([there, back[:-4], second.q])
+    p = answers(fresh(goals), Motion(np.arange(len(q)) * first.period_s, q, first.dof_names))
+    assert p[len(there) - 1].argmax() == 0
+    assert p[-5].argmax() == 2
 
 
 def test_what_cannot_be_judged_is_refused_and_changes_nothing() -> None:

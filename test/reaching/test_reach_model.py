@@ -50,9 +50,7 @@ def test_whether_people_come_back_is_learned() -> None:
     assert learned(False).returning == 0.0
     assert learned(True).returning == 1.0
     assert 0.2 < learned(False).pace_s_m < 10.0
-    rest = learned(True).rest_after(REST)
-    np.testing.assert_array_equal(rest.mean, REST)
-    assert np.diag(rest.covariance)[0] == pytest.approx(np.diag(rest.covariance)[1])
+    assert learned(True).rest_deviation[0] == pytest.approx(learned(True).rest_deviation[1])
 
 
 @pytest.mark.parametrize("planned", [False, True])
@@ -122,6 +120,35 @@ def test_what_stands_in_the_way_is_avoided_by_the_planner() -> None:
     centre = np.array([middle[0], middle[1] - 0.06])
     least = [np.linalg.norm(way.mean(axis=0)[:, :2] - centre, axis=1).min() for way in (avoided, free)]
     assert least[0] > least[1] + 0.04
+
+
+@pytest.mark.parametrize("yaw", [1.5, -2.9])
+def test_futures_turn_with_the_person(yaw: float) -> None:
+    c, s = np.cos(yaw), np.sin(yaw)
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    here, there = ReachProgress(HUMAN), ReachProgress(HUMAN)
+    for q in small_library(4, there_and_back=True, seed=3).of_class(0)[0].q[:12]:
+        here.update(q)
+        moved = q.copy()
+        moved[:3] = R @ q[:3]
+        moved[3] += yaw
+        there.update(moved)
+    model = replace(learned(True), rest_deviation=np.full(12, 1e-9))
+    futures = ReachFutures(model, WEIGHTS, config=ReachFuturesConfig(planned=False))
+    ways = [hands(futures.towards(p, place)) for p, place in ((here, place_of(0)), (there, R @ place_of(0)))]
+    np.testing.assert_allclose(ways[1].mean(axis=0), ways[0].mean(axis=0) @ R.T, atol=2e-3)
+
+
+def test_one_wild_posture_neither_turns_the_hand_back_nor_winds_the_arm_up() -> None:
+    q = small_library(4, seed=3).of_class(0)[0].q.copy()
+    q[14, 7:10] += [1.5, 0.0, 3.0]
+    q[14, 11] *= 0.2
+    progress = ReachProgress(HUMAN)
+    for posture in q[:20]:
+        progress.update(posture)
+    assert not progress.turned
+    np.testing.assert_allclose(progress.posture, q[19])
+    assert progress.reached_m < 1.05 * seen(20).reached_m
 
 
 def test_the_same_is_predicted_of_the_same() -> None:

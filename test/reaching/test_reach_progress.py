@@ -39,8 +39,8 @@ def test_a_hand_that_comes_back_has_turned_and_the_apex_is_remembered() -> None:
     assert progress.way_back > 0.8
     hand = HUMAN.forward(q)[HAND]
     away = np.linalg.norm(hand - progress.start_hand_m, axis=1)
-    np.testing.assert_allclose(progress.apex, q[int(np.argmax(away))])
-    assert progress.reached_m == pytest.approx(away.max())
+    np.testing.assert_allclose(progress.apex, q[int(np.argmax(away))], atol=0.02)
+    assert progress.reached_m == pytest.approx(away.max(), abs=0.01)
 
 
 def test_noise_is_no_turn_and_a_place_elsewhere_is_not_come_nearer() -> None:

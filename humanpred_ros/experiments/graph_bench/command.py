@@ -10,16 +10,17 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.experiments.evaluation_files import check_writable, machine_facts, plain, write_json
+from humanpred_ros.experiments.evaluation_files import machine_facts, plain
 from humanpred_ros.experiments.graph_bench.bench import TARGET_MS, TARGET_READY_S, GraphBench, GraphCase, bench_graph
 from humanpred_ros.experiments.graph_bench.latency import Delays
+from humanpred_ros.experiments.options import Outputs, add_outputs
 from humanpred_ros.experiments.planner_bench.others import OthersCores
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `humanpred bench graph`."""
     case = GraphCase()
-    parser.add_argument("--json", metavar="FILE", help="write every figure to FILE")
+    add_outputs(parser)
     parser.add_argument("--goals", type=int, nargs="+", default=list(case.goals), metavar="K", help="numbers of goals")
     parser.add_argument("--waypoints", type=int, default=case.waypoints, metavar="N", help="of a path")
     parser.add_argument("--iterations", type=int, default=case.iterations, metavar="N", help="per goal and step")
@@ -49,7 +50,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
         runs=options.runs,
         predictor=options.predictor,
     )
-    path = check_writable(options.json) if options.json else None
+    outputs = Outputs.of(options)
     if options.keep and Path(options.keep).exists():
         raise UsageError(f"--keep: wanted a folder that does not exist yet, {options.keep} does; choose another")
     others = OthersCores()
@@ -61,10 +62,8 @@ def run(options: argparse.Namespace, console: Console) -> int:
     print_bench(bench, console)
     if busy is not None:
         console.print(f"other programs used {busy:.2f} cores meanwhile", highlight=False)
-    if path is not None:
-        facts = {"targets_p99_ms": TARGET_MS, "target_ready_s": TARGET_READY_S, "others": busy}
-        write_json(path, {**plain(bench), **facts, "machine": machine_facts()})
-        console.print(f"figures  {path}", markup=False, highlight=False, soft_wrap=True)
+    facts = {"targets_p99_ms": TARGET_MS, "target_ready_s": TARGET_READY_S, "others": busy}
+    outputs.write(console, {**plain(bench), **facts, "machine": machine_facts()})
     return 0
 
 

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.experiments.evaluation_files import machine_facts
+from humanpred_ros.experiments.evaluation_files import library_facts, machine_facts
 from humanpred_ros.experiments.interference.measures import RunFigures
 from humanpred_ros.experiments.interference.reference import PublishedRow
 from humanpred_ros.experiments.interference.result import (
@@ -131,12 +131,7 @@ def evaluate_interference(
     comparison = _comparison(library, config, tasks, outcomes)
     contacts = _contacts(tasks, outcomes)
     return InterferenceEvaluation(
-        library={
-            "name": library.name,
-            "n_motions": len(library),
-            "held_out_together": config.runs.hold_out,
-            "provenance": dict(library.provenance),
-        },
+        library=library_facts(library, held_out_together=config.runs.hold_out),
         settings=dataclasses.asdict(config)
         | {
             "jobs": jobs,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -18,6 +17,7 @@ from humanpred_ros.experiments.interference.result import (
     UnreachedReport,
 )
 from humanpred_ros.experiments.target import targets_table
+from humanpred_ros.experiments.text import figure_table, headline
 
 #: So many are listed of what may be many: contacts of methods that do not predict, and runs that reach no goal.
 _LISTED = 20
@@ -43,7 +43,7 @@ _FIGURES: tuple[tuple[str, Callable[[MethodFigures], str]], ...] = (
 def print_interference(evaluation: InterferenceEvaluation, console: Console) -> None:
     """Print Table I, the comparison over many motions, the contacts, and the targets."""
     held_out = evaluation.library["held_out_together"]
-    _headline(
+    headline(
         console,
         f"{evaluation.library['name']}: what is shown was not learned from, nor were the motions held out with it, "
         f"{held_out} of every class; cost: human occupancy under P1's final prediction, integrated over the executed "
@@ -51,30 +51,30 @@ def print_interference(evaluation: InterferenceEvaluation, console: Console) -> 
     )
     if evaluation.table1:
         runs = evaluation.table1[0].methods["basic"].runs
-        _headline(console, f"P1 Table I: cost, mean +- sd of {runs} runs; ratio basic / ours")
+        headline(console, f"P1 Table I: cost, mean +- sd of {runs} runs; ratio basic / ours")
         console.print(_costs(evaluation.table1))
-        _headline(console, "the same runs: goal reached, least clearance and distance of all, median times")
+        headline(console, "the same runs: goal reached, least clearance and distance of all, median times")
         console.print(_safety(evaluation.table1))
     for comparison in evaluation.comparison:
-        _headline(
+        headline(
             console,
             f"many motions, {comparison.title}: {comparison.persons} persons; no run that ends at a goal can keep a "
             f"median least distance above {comparison.bound_m:.3f} m",
         )
         console.print(_comparison(comparison.methods))
     if evaluation.contacts:
-        _headline(console, "runs in which the arm's spheres touch the human")
+        headline(console, "runs in which the arm's spheres touch the human")
         console.print(_contacts(evaluation.contacts))
     if evaluation.unreached:
-        _headline(console, f"predicting runs that end at no goal: {len(evaluation.unreached)}")
+        headline(console, f"predicting runs that end at no goal: {len(evaluation.unreached)}")
         console.print(_unreached(evaluation.unreached))
     if evaluation.targets:
         console.print(targets_table(evaluation.targets))
 
 
 def _costs(rows: Sequence[TableRow]) -> Table:
-    table = _table(
-        "id", "published ours", "basic", "ratio", "ours_p1", "basic", "ratio", "ours (default)", "ratio"
+    table = figure_table(
+        "id", "published ours", "basic", "ratio", "ours_p1", "basic", "ratio", "ours (default)", "ratio", wrap=True
     )  # fmt: skip
     for row in rows:
         p1, ours, basic = (row.methods[name] for name in ("ours_p1", "ours", "basic"))
@@ -94,7 +94,9 @@ def _costs(rows: Sequence[TableRow]) -> Table:
 
 
 def _safety(rows: Sequence[TableRow]) -> Table:
-    table = _table("id", "method", "goal", "clear of table, cups", "human", "contacts", "execution", "to goal")
+    table = figure_table(
+        "id", "method", "goal", "clear of table, cups", "human", "contacts", "execution", "to goal", wrap=True
+    )
     for row in rows:
         for name, f in row.methods.items():
             table.add_row(
@@ -111,14 +113,16 @@ def _safety(rows: Sequence[TableRow]) -> Table:
 
 
 def _comparison(methods: Sequence[MethodFigures]) -> Table:
-    table = _table("", *(figures.method for figures in methods))
+    table = figure_table("", *(figures.method for figures in methods), wrap=True)
     for title, cell in _FIGURES:
         table.add_row(title, *(cell(figures) for figures in methods))
     return table
 
 
 def _contacts(reports: Sequence[ContactReport]) -> Table:
-    table = _table("method", "scene", "motion", "seed", "at", "deepest", "arm's surface", "parts", "moved", "avoidable")
+    table = figure_table(
+        "method", "scene", "motion", "seed", "at", "deepest", "arm's surface", "parts", "moved", "avoidable", wrap=True
+    )
     predicting = [report for report in reports if report.method.startswith("ours")]
     others = [report for report in reports if not report.method.startswith("ours")]
     for report in [*predicting, *others[:_LISTED]]:
@@ -148,23 +152,11 @@ def _contacts(reports: Sequence[ContactReport]) -> Table:
 
 
 def _unreached(reports: Sequence[UnreachedReport]) -> Table:
-    table = _table("method", "scene", "motion", "seed", "person leaves at a goal", "last decision")
+    table = figure_table("method", "scene", "motion", "seed", "person leaves at a goal", "last decision", wrap=True)
     for r in reports[:_LISTED]:
         table.add_row(r.method, r.scene, r.motion, str(r.seed), f"{r.goal_m:.3f} m", escape(r.ended))
     if len(reports) > _LISTED:
         table.add_row("...", f"and {len(reports) - _LISTED} more")
-    return table
-
-
-def _headline(console: Console, text: str) -> None:
-    console.print(text, style="bold", markup=False, highlight=False)
-
-
-def _table(first: str, *others: str) -> Table:
-    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    table.add_column(first)
-    for title in others:
-        table.add_column(title, overflow="fold")
     return table
 
 

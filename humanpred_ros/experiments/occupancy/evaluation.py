@@ -19,7 +19,7 @@ import numpy as np
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import LibraryFormatError, UsageError
-from humanpred_ros.experiments.evaluation_files import machine_facts
+from humanpred_ros.experiments.evaluation_files import library_facts, machine_facts
 from humanpred_ros.experiments.evaluation_grid import grid_around, swept_region
 from humanpred_ros.experiments.occupancy.result import OccupancyEvaluation, PredictorResult
 from humanpred_ros.experiments.occupancy.runs import ENDS, LeftOutMotions, OccupancySetup
@@ -155,12 +155,7 @@ def evaluate_occupancy(
         "missed_below": MISSED_BELOW,
         "picture": picture[0],
     }
-    facts = {
-        "name": library.name,
-        "n_motions": len(library),
-        "motions_per_class": {label: len(library.of_class(label)) for label in library.labels},
-        "provenance": dict(library.provenance),
-    }
+    facts = library_facts(library, by_class=True)
     results = tuple(
         PredictorResult.of(name, PREDICTORS[name], [motion[k] for motion in outcomes], frozenset(mistracked))
         for k, name in enumerate(config.predictors)

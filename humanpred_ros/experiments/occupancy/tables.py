@@ -12,6 +12,7 @@ from rich.table import Table
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.experiments.occupancy.result import OccupancyEvaluation, PredictorResult, VoxelFigures
+from humanpred_ros.experiments.text import headline, line
 
 _Row = tuple[str, Callable[[PredictorResult], str]]
 
@@ -39,7 +40,7 @@ _AVERAGES: tuple[_Row, ...] = (
 def print_occupancy_evaluation(evaluation: OccupancyEvaluation, console: Console) -> None:
     """Print the averages of every predictor, and its errors along the motion."""
     library = evaluation.library
-    _headline(
+    headline(
         console,
         f"{library['name']}: {len(evaluation.tested)} of {library['n_motions']} motions left out in turn; averages "
         f"over {len(evaluation.percents)} fractions, means over {evaluation.region_voxels} voxels",
@@ -54,7 +55,7 @@ def print_occupancy_evaluation(evaluation: OccupancyEvaluation, console: Console
         ("Brier score x 1000 by % seen", lambda r: [f"{1e3 * value:.2f}" for value in r.at_percent.brier]),
         ("swept voxels given < 1 % by % seen", lambda r: [_share(value) for value in r.at_percent.missed]),
     ):
-        _headline(console, title)
+        headline(console, title)
         console.print(_by_percent(evaluation, cells))
 
 
@@ -72,11 +73,7 @@ def _print_unseen(evaluation: OccupancyEvaluation, console: Console) -> None:
             f". Beside swept_volume (P1), which was trained with the class, its Brier score is "
             f"{evaluation.unseen_beside_seen:.2f} times as large (target: no worse, 1.00)"
         )
-    console.print(text + "\n", markup=False, highlight=False)
-
-
-def _headline(console: Console, text: str) -> None:
-    console.print(text, style="bold", markup=False, highlight=False)
+    line(console, text + "\n")
 
 
 def _table(evaluation: OccupancyEvaluation) -> Table:

@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.experiments.evaluation_files import check_writable, machine_facts, plain, replacing, write_json
+from humanpred_ros.experiments.evaluation_files import machine_facts, plain
+from humanpred_ros.experiments.options import Outputs, add_outputs
 from humanpred_ros.experiments.planner_bench.bench import (
     PUBLISHED_MS,
     TARGET_GOALS_MS,
@@ -39,8 +40,7 @@ _SIZES = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `humanpred bench planner`."""
-    parser.add_argument("--json", metavar="FILE", help="write every figure to FILE")
-    parser.add_argument("--plot", metavar="FILE", help="draw the growth curves into FILE (PNG)")
+    add_outputs(parser, plot="draw the growth curves into FILE (PNG)")
     case = Case()
     for name, meaning in _SIZES.items():
         parser.add_argument(f"--{name}", type=int, default=getattr(case, name), metavar="N", help=meaning)
@@ -61,8 +61,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
         raise UsageError(f"--rounds: wanted at least 1, got {options.rounds}")
     if options.plot and options.no_growth:
         raise UsageError("--plot draws the growth curves, --no-growth leaves them out; give one of the two")
-    path = check_writable(options.json) if options.json else None
-    plot = check_writable(options.plot, ".png") if options.plot else None
+    outputs = Outputs.of(options)
     source = find_yardstick(options.yardstick)
     with tempfile.TemporaryDirectory() as folder, console.status("measuring") as status:
         bench = bench_planner(
@@ -74,20 +73,14 @@ def run(options: argparse.Namespace, console: Console) -> int:
             report=lambda what: status.update(f"measuring: {what}"),
         )
     print_bench(bench, console)
-    if path is not None:
-        targets = {
-            "to_floor": TARGET_TO_FLOOR,
-            "all_goals_ms": TARGET_GOALS_MS,
-            "speed_up": TARGET_THREADS,
-            "overrun_ms": TARGET_OVERRUN_MS,
-        }
-        facts = {"targets": targets, "published_ms": PUBLISHED_MS, "machine": machine_facts()}
-        write_json(path, {**plain(bench), **facts})
-        console.print(f"figures  {path}", markup=False, highlight=False, soft_wrap=True)
-    if plot is not None:
-        with replacing(plot) as temporary:
-            save_growth_plot(temporary, growth_curves(bench))
-        console.print(f"plot     {plot}", markup=False, highlight=False, soft_wrap=True)
+    targets = {
+        "to_floor": TARGET_TO_FLOOR,
+        "all_goals_ms": TARGET_GOALS_MS,
+        "speed_up": TARGET_THREADS,
+        "overrun_ms": TARGET_OVERRUN_MS,
+    }
+    facts = {"targets": targets, "published_ms": PUBLISHED_MS, "machine": machine_facts()}
+    outputs.write(console, {**plain(bench), **facts}, lambda path: save_growth_plot(path, growth_curves(bench)))
     return 0
 
 

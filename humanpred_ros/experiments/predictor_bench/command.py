@@ -10,28 +10,17 @@ from rich.console import Console
 from rich.table import Table
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.experiments.evaluation_files import check_writable, machine_facts, plain, write_json
+from humanpred_ros.experiments.evaluation_files import machine_facts, plain
+from humanpred_ros.experiments.options import Outputs, add_library, add_outputs, read_library
 from humanpred_ros.experiments.predictor_bench.bench import PredictorBench, Timing, bench_predictor
-from humanpred_ros.motion.csv_library import DEFAULT_FRAME_PERIOD_S
-from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.resources import locate
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `humanpred bench predictor`."""
-    parser.add_argument(
-        "--library", default="synthetic_reaches", help="bag, CSV folder, or the name of a shipped one (the default)"
-    )
-    parser.add_argument("--json", metavar="FILE", help="write every figure to FILE")
+    add_library(parser, "synthetic_reaches")
+    add_outputs(parser)
     parser.add_argument("--motions", type=int, default=5, help="motions played for each figure")
     parser.add_argument("--no-node", action="store_true", help="do not start the node")
-    parser.add_argument(
-        "--frame-period",
-        type=float,
-        default=DEFAULT_FRAME_PERIOD_S,
-        metavar="S",
-        help="seconds between frames where a CSV has no times",
-    )
 
 
 def run(options: argparse.Namespace, console: Console) -> int:
@@ -42,8 +31,8 @@ def run(options: argparse.Namespace, console: Console) -> int:
     """
     if options.motions < 1:
         raise UsageError(f"--motions: wanted at least 1, got {options.motions}")
-    path = check_writable(options.json) if options.json else None
-    library = load_library(locate(options.library, "bags"), frame_period_s=options.frame_period)
+    outputs = Outputs.of(options)
+    _, library = read_library(options)
     with tempfile.TemporaryDirectory() as folder, console.status("measuring") as status:
         bench = bench_predictor(
             library,
@@ -52,9 +41,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
             report=lambda what: status.update(f"measuring: {what}"),
         )
     _print(bench, console)
-    if path is not None:
-        write_json(path, {**plain(bench), "machine": machine_facts()})
-        console.print(f"figures  {path}", markup=False, highlight=False, soft_wrap=True)
+    outputs.write(console, {**plain(bench), "machine": machine_facts()})
     return 0
 
 

@@ -6,12 +6,11 @@ import argparse
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.experiments.evaluation_files import check_writable, replacing, write_json
-from humanpred_ros.experiments.parallel import usable_cores
+from humanpred_ros.experiments.options import Outputs, add_jobs, add_outputs, names_in, progress_lines
 from humanpred_ros.experiments.reaching.evaluation import ReachingConfig, evaluate_reaching, steps_of
+from humanpred_ros.experiments.reaching.evaluation_result import ReachingEvaluation
 from humanpred_ros.experiments.reaching.predictors import REACHING_PREDICTORS
 from humanpred_ros.experiments.reaching.recovery import RecoveryConfig
 from humanpred_ros.experiments.reaching.tables import print_reaching
@@ -50,12 +49,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="numbers of samples from which known weights are learned again (P2 Fig. 7; with the predictor learned "
         "only); none to leave that out",
     )
-    parser.add_argument("--jobs", type=int, default=usable_cores(), help="processes; default: one for each core")
+    add_jobs(parser)
     parser.add_argument("--seed", type=int, default=default.seed)
-    parser.add_argument("--json", metavar="FILE", help="write every figure to FILE")
-    parser.add_argument(
-        "--plot", metavar="FILE", help="draw predicted and real wrist paths, the comparison and the weights (.png)"
-    )
+    add_outputs(parser, plot="draw predicted and real wrist paths, the comparison and the weights (.png)")
 
 
 def run(options: argparse.Namespace, console: Console) -> int:
@@ -64,40 +60,23 @@ def run(options: argparse.Namespace, console: Console) -> int:
     Raises:
         HumanPredError: impossible options, unusable recordings, or files that cannot be written.
     """
-    json_path = check_writable(options.json) if options.json else None
-    plot_path = check_writable(options.plot, ".png") if options.plot else None
+    outputs = Outputs.of(options)
     config = _config(options)
     model = HumanModel.mocap23()
     recordings = load_reach_recordings(options.demos, model)
     folder = _interference(options.demos, options.interference)
     interference = load_reach_recordings(folder, model) if folder is not None else ()
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        bar_line = bar.add_task("learned, then predicted", total=steps_of(recordings, interference, config))
-        evaluation = evaluate_reaching(
-            recordings,
-            interference,
-            config,
-            model=model,
-            progress=lambda done: bar.update(bar_line, completed=done),
-        )
+    with progress_lines(console) as begin:
+        progress = begin("learned, then predicted", steps_of(recordings, interference, config))
+        evaluation = evaluate_reaching(recordings, interference, config, model=model, progress=progress)
     print_reaching(evaluation, console)
-    if json_path is not None:
-        write_json(json_path, evaluation.to_json())
-        console.print(f"figures  {json_path}", markup=False, highlight=False, soft_wrap=True)
-    if plot_path is not None:
-        from humanpred_ros.experiments.reaching.drawing import draw_reaching
-
-        with replacing(plot_path) as temporary:
-            draw_reaching(evaluation, temporary)
-        console.print(f"plot     {plot_path}", markup=False, highlight=False, soft_wrap=True)
+    outputs.write(console, evaluation.to_json(), lambda path: _save_plot(evaluation, path))
     return 0
 
 
 def _config(options: argparse.Namespace) -> ReachingConfig:
-    names = tuple(dict.fromkeys(name.strip() for name in options.predictor.split(",") if name.strip()))
     return ReachingConfig(
-        predictors=tuple(REACHING_PREDICTORS) if names == ("all",) else names,
+        predictors=names_in(options.predictor, REACHING_PREDICTORS),
         runs=options.runs,
         recovery=RecoveryConfig(samples=_numbers(options.samples)),
         seed=options.seed,
@@ -112,6 +91,12 @@ def _numbers(text: str) -> tuple[int, ...]:
         return tuple(int(part) for part in text.split(","))
     except ValueError as trouble:
         raise UsageError(f"--samples: wanted none, or whole numbers with commas between, got {text!r}") from trouble
+
+
+def _save_plot(evaluation: ReachingEvaluation, path: Path) -> None:
+    from humanpred_ros.experiments.reaching.drawing import draw_reaching
+
+    draw_reaching(evaluation, path)
 
 
 def _interference(demos: str, given: str | None) -> Path | None:

@@ -11,9 +11,9 @@ from humanpred_ros.experiments.reaching.entry import BETTER, GROUPS
 from humanpred_ros.experiments.reaching.evaluation_result import ReachingEvaluation
 from humanpred_ros.experiments.reaching.result import DISTANCES, DistanceFigures, ReachingSet, Statistic
 from humanpred_ros.experiments.reaching.sets import ITSELF
-from humanpred_ros.experiments.reaching.text import figure_table, line
 from humanpred_ros.experiments.reaching.weight_tables import print_left_out, print_recovery, print_weights
 from humanpred_ros.experiments.target import targets_table
+from humanpred_ros.experiments.text import figure_table, headline, line
 
 _COLUMNS = ("joint", "task as coded", "task")
 _YARDSTICK = "minimum_jerk"
@@ -41,7 +41,7 @@ def print_reaching(evaluation: ReachingEvaluation, console: Console) -> None:
     if evaluation.times:
         _print_times(evaluation, console)
     if evaluation.targets:
-        line(console, "Reference values (computed elsewhere from the same recordings) and targets", bold=True)
+        headline(console, "Reference values (computed elsewhere from the same recordings) and targets")
         console.print(targets_table(evaluation.targets))
     line(console, f"{evaluation.elapsed_s:.0f} s in all, on {evaluation.machine['usable_cores']} cores")
 
@@ -60,10 +60,9 @@ def _print_own(evaluation: ReachingEvaluation, console: Console) -> None:
     own = evaluation.sets[0].predictor("own")
     if own is None:
         return
-    line(
+    headline(
         console,
         f"P2 Table I: weights learned from the reach itself; average and over {own.runs} runs (sd, least, largest)",
-        bold=True,
     )
     table = figure_table("", "P2\njoint", "joint", "P2 task\nas coded", "task as coded", "task")
     for entry in own.recordings:
@@ -86,15 +85,14 @@ def _beside(figures: DistanceFigures, published: tuple[float, float] | None, run
 
 def _print_set(evaluation: ReachingEvaluation, entry: ReachingSet, console: Console) -> None:
     tables = ", ".join(dict.fromkeys(row.table for row in entry.published if row.predictor != "own"))
-    line(
+    headline(
         console,
         f"{tables + ': ' if tables else ''}{_many(entry)}, {entry.title}; average, and over runs (sd, least, largest)",
-        bold=True,
     )
     console.print(_averages(entry))
     if len(entry.names) > 1:
         for which, title in enumerate(_COLUMNS):
-            line(console, f"Each reach: {title}; wins: on how many it is better than {_YARDSTICK}", bold=True)
+            headline(console, f"Each reach: {title}; wins: on how many it is better than {_YARDSTICK}")
             console.print(_each(evaluation, entry, which))
     for facts in entry.recordings:
         for text in facts["notes"]:

@@ -8,19 +8,18 @@ from rich.console import Console
 from humanpred_ros.experiments.reaching.learned import IMPROVED, PUBLISHED
 from humanpred_ros.experiments.reaching.recovery import RecoveryFigures
 from humanpred_ros.experiments.reaching.result import Statistic
-from humanpred_ros.experiments.reaching.text import figure_table, line
 from humanpred_ros.experiments.reaching.weights import WeightColumn, WeightFigures
+from humanpred_ros.experiments.text import figure_table, headline, line
 from humanpred_ros.reaching.features import N_SMOOTHNESS
 
 
 def print_weights(figures: WeightFigures, console: Console) -> None:
     """Print weights and influence of every feature."""
-    line(
+    headline(
         console,
         f"Weights of P2's features. Those of {PUBLISHED}, alone and the authors have the same features, scales and "
         f"bounds 0 to {figures.upper:g}, and are comparable as they stand. Influence (%): weight x standard deviation "
         "of its feature over samples around the demonstrations, as a share of the sum: comparable among all.",
-        bold=True,
     )
     for column in figures.columns:
         line(console, f"  {column.name}: {column.description}")
@@ -57,12 +56,11 @@ def print_weights(figures: WeightFigures, console: Console) -> None:
 def print_recovery(figures: RecoveryFigures, console: Console) -> None:
     """Print what P2's Fig. 7 shows."""
     many = f"{figures.demonstrations} reaches"
-    line(
+    headline(
         console,
         f"P2 Fig. 7: {many} planned with known weights, weights learned from them, planned again. How much more that "
         "costs by the known weights, % of the cost of the demonstrations; mean over these, average over repetitions "
         "(sd, least, largest)",
-        bold=True,
     )
     table = figure_table("samples each", *(f"learned as {how}" for how in figures.learned), "best of the samples")
     for k, count in enumerate(figures.samples):
@@ -77,11 +75,10 @@ def print_left_out(figures: WeightFigures, console: Console) -> None:
     """Print what P2's Fig. 10 shows, a column for each recording that was left out."""
     for found in figures.left_out:
         published = found.how == PUBLISHED
-        line(
+        headline(
             console,
             f"P2 Fig. 10: learned as {found.how}, leaving out one recording each: "
             + ("weights" if published else "influence, % (weights are in the JSON file)"),
-            bold=True,
         )
         values = found.weights if published else 100.0 * found.influence
         table = figure_table("left out", *found.recordings, "mean", "sd")

@@ -14,6 +14,7 @@ from humanpred_ros.experiments.recognition.evaluation import REFUSAL_THRESHOLD
 from humanpred_ros.experiments.recognition.result import ClassifierResult, RecognitionEvaluation
 from humanpred_ros.experiments.recognition.scores import CurveFigures
 from humanpred_ros.experiments.target import targets_table
+from humanpred_ros.experiments.text import headline
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 
 _Row = tuple[str, Callable[[ClassifierResult], str], Callable[[CurveFigures], str] | None]
@@ -34,19 +35,15 @@ def print_evaluation(evaluation: RecognitionEvaluation, console: Console) -> Non
     """Print all figures of every classifier, and the confusion of the default one, or else of the first."""
     library, results = evaluation.library, evaluation.classifiers
     shown = next((result for result in results if result.name == DEFAULT_CLASSIFIER), results[0])
-    _headline(console, f"{library['name']}: each of {library['n_motions']} motions left out in turn")
+    headline(console, f"{library['name']}: each of {library['n_motions']} motions left out in turn")
     console.print(_figures_table(evaluation))
     console.print(_LEGEND, style="dim", markup=False, highlight=False)
     if any(result.name == REACHING for result in results):
         console.print(_LEGEND_REACHING, style="dim", markup=False, highlight=False)
     if evaluation.targets:
         console.print(targets_table(evaluation.targets))
-    _headline(console, f"{shown.name}: true class (rows) taken for, at 60 % of the motion")
+    headline(console, f"{shown.name}: true class (rows) taken for, at 60 % of the motion")
     console.print(_confusion_table(evaluation, shown))
-
-
-def _headline(console: Console, text: str) -> None:
-    console.print(text, style="bold", markup=False, highlight=False)
 
 
 def _figures_table(evaluation: RecognitionEvaluation) -> Table:

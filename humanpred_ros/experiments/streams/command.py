@@ -9,11 +9,10 @@ from dataclasses import asdict
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from humanpred_ros.experiments.evaluation_files import check_writable, machine_facts, plain, write_json
-from humanpred_ros.experiments.parallel import usable_cores
+from humanpred_ros.experiments.evaluation_files import library_facts, machine_facts
+from humanpred_ros.experiments.options import Outputs, add_jobs, add_library, add_outputs, progress_lines, read_library
 from humanpred_ros.experiments.recognition.reference import advice_beside
 from humanpred_ros.experiments.standing import StandingConfig
 from humanpred_ros.experiments.streams.composed import StreamConfig
@@ -27,12 +26,10 @@ from humanpred_ros.experiments.streams.evaluation import (
 )
 from humanpred_ros.experiments.streams.scores import OnsetFigures
 from humanpred_ros.experiments.streams.truth import TruthConfig
-from humanpred_ros.motion.csv_library import DEFAULT_FRAME_PERIOD_S
-from humanpred_ros.motion.library_io import load_library
+from humanpred_ros.experiments.text import headline
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.onset import OnsetConfig
 from humanpred_ros.recognition.registry import CLASSIFIERS
-from humanpred_ros.resources import locate
 
 #: Advice (in the file beside a library) that says a motion is mistracked, or may be.
 _FLAGS = ("exclude", "suspect")
@@ -41,15 +38,15 @@ _FLAGS = ("exclude", "suspect")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `humanpred evaluate streams`."""
     default = StreamEvaluationConfig()
-    parser.add_argument("--library", required=True, help="bag, CSV folder, or the name of a shipped one")
+    add_library(parser)
     parser.add_argument(
         "--classifier",
         default=DEFAULT_CLASSIFIER,
         metavar="NAME",
         help=f"one of {', '.join(CLASSIFIERS)}; none: onsets and ends only",
     )
-    parser.add_argument("--json", metavar="FILE", help="write every figure to FILE")
-    parser.add_argument("--jobs", type=int, default=usable_cores(), help="processes; default: one for each core")
+    add_outputs(parser)
+    add_jobs(parser)
     parser.add_argument("--seed", type=int, default=default.seed, help="of the order, the pauses and the noise")
     parser.add_argument(
         "--standing",
@@ -57,13 +54,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=default.standing_s / 60.0,
         metavar="MIN",
         help="minutes of mere standing to count false starts in",
-    )
-    parser.add_argument(
-        "--frame-period",
-        type=float,
-        default=DEFAULT_FRAME_PERIOD_S,
-        metavar="S",
-        help="seconds between frames where a CSV has no times",
     )
 
 
@@ -73,55 +63,46 @@ def run(options: argparse.Namespace, console: Console) -> int:
     Raises:
         HumanPredError: impossible options, an unusable library, or a file that cannot be written.
     """
-    json_path = check_writable(options.json) if options.json else None
+    outputs = Outputs.of(options)
     config = StreamEvaluationConfig(
         classifier=None if options.classifier == "none" else options.classifier,
         seed=options.seed,
         standing_s=60.0 * options.standing,
         jobs=options.jobs,
     )
-    path = locate(options.library, "bags")
-    library = load_library(path, frame_period_s=options.frame_period)
+    path, library = read_library(options)
     flagged = frozenset(name for name, advice in advice_beside(path, library.name).items() if advice in _FLAGS)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        line = bar.add_task("rounds", total=len(check_rounds(library)))
-        evaluation = evaluate_streams(
-            library, config, flagged=flagged, progress=lambda done: bar.update(line, completed=done)
-        )
+    with progress_lines(console) as begin:
+        progress = begin("rounds", len(check_rounds(library)))
+        evaluation = evaluate_streams(library, config, flagged=flagged, progress=progress)
     _print(evaluation, library.name, config, console)
-    if json_path is not None:
-        settings = {
-            "evaluation": asdict(config), "onset": asdict(OnsetConfig()), "standing": asdict(StandingConfig()),
-            "truth": asdict(TruthConfig()), "streams": asdict(StreamConfig()),
-        }  # fmt: skip
-        facts = {"name": library.name, "n_motions": len(library), "provenance": dict(library.provenance)}
-        write_json(
-            json_path,
-            {
-                "library": facts, "settings": plain(settings), "machine": machine_facts(),
-                "flagged": sorted(flagged), **evaluation.to_json(),
-            },
-        )  # fmt: skip
-        console.print(f"figures  {json_path}", markup=False, highlight=False, soft_wrap=True)
+    settings = {
+        "evaluation": config,
+        "onset": OnsetConfig(),
+        "standing": StandingConfig(),
+        "truth": TruthConfig(),
+        "streams": StreamConfig(),
+    }
+    facts = {"library": library_facts(library), "settings": settings, "machine": machine_facts()}
+    outputs.write(console, {**facts, "flagged": sorted(flagged), **evaluation.to_json()})
     return 0
 
 
 def _print(evaluation: StreamEvaluation, library: str, config: StreamEvaluationConfig, console: Console) -> None:
     recorded = evaluation.variants[0]
     tolerance = f"{config.tolerance_s:g} s"
-    _headline(console, f"{library}: motions in streams with pauses, {recorded.streams_s / 60:.0f} min; as recorded")
+    headline(console, f"{library}: motions in streams with pauses, {recorded.streams_s / 60:.0f} min; as recorded")
     groups = {name: figures for name, figures in recorded.groups.items() if figures is not None}
     if recorded.made is not None:
         groups["returns (made)"] = recorded.made
     console.print(_table(groups, tolerance))
-    _headline(
+    headline(
         console,
         "streams that differ from the recordings; false starts: recorded rest, after motions, in pauses; standing",
     )
     console.print(_variants_table(evaluation.variants, tolerance))
     if evaluation.recognition is not None:
-        _headline(console, f"{config.classifier}: share recognised at percent of the motion, in the stream / alone")
+        headline(console, f"{config.classifier}: share recognised at percent of the motion, in the stream / alone")
         console.print(_recognition_table(evaluation.recognition))
     median, top = evaluation.detector_us
     console.print(f"one posture: detection {median:.0f} µs (99 % below {top:.0f})", highlight=False, end="")
@@ -131,10 +112,6 @@ def _print(evaluation: StreamEvaluation, library: str, config: StreamEvaluationC
         text = f"; with {config.classifier} {median:.0f} µs (99 % below {top:.0f}, longest {most:.1f} ms)"
         console.print(escape(text), highlight=False, end="")
     console.print(f"; this evaluation {evaluation.wall_s:.0f} s", highlight=False)
-
-
-def _headline(console: Console, text: str) -> None:
-    console.print(text, style="bold", markup=False, highlight=False)
 
 
 def _table(groups: dict[str, OnsetFigures], tolerance: str) -> Table:

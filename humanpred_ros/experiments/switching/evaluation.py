@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.experiments.evaluation_files import machine_facts
+from humanpred_ros.experiments.evaluation_files import library_facts, machine_facts
 from humanpred_ros.experiments.interference.world import (
     RunSettings,
     first_of_classes,
@@ -108,12 +108,7 @@ def evaluate_switching(
     shown = _shown(library, config)
     summaries = _summaries(config, [person for person in persons if person.motion in set(shown)])
     return SwitchingEvaluation(
-        library={
-            "name": library.name,
-            "n_motions": len(library),
-            "held_out_together": config.runs.hold_out,
-            "provenance": dict(library.provenance),
-        },
+        library=library_facts(library, held_out_together=config.runs.hold_out),
         settings=dataclasses.asdict(config)
         | {
             "jobs": jobs,

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
 from humanpred_ros.experiments.switching.result import SwitchingEvaluation, SwitchSummary, VariantFigures
 from humanpred_ros.experiments.switching.runs import VARIANTS, Person
 from humanpred_ros.experiments.target import targets_table
+from humanpred_ros.experiments.text import figure_table, headline
 
 _FIGURES: tuple[tuple[str, Callable[[VariantFigures], str]], ...] = (
     ("motions", lambda f: str(f.persons)),
@@ -33,7 +33,7 @@ def print_switching(evaluation: SwitchingEvaluation, console: Console) -> None:
     n_steps = evaluation.settings["runs"]["steps"]
     if evaluation.figure is not None:
         person = evaluation.figure
-        _headline(
+        headline(
             console,
             f"P1 Fig. 9: motion {person.motion} in {person.scene}, cost of each goal by replanning step, seed 0; "
             f"chosen: *; right: {person.right}, with nobody there: {person.default}",
@@ -41,7 +41,7 @@ def print_switching(evaluation: SwitchingEvaluation, console: Console) -> None:
         console.print(_costs(evaluation, person))
         console.print(_switches(evaluation, person))
     for k, summary in enumerate(evaluation.summaries):
-        _headline(console, f"{summary.title}: {summary.persons}")
+        headline(console, f"{summary.title}: {summary.persons}")
         if k == 0:
             console.print(
                 "median (quartiles) of steps; right: what the same planner chooses at once if told what the body is "
@@ -60,7 +60,7 @@ def _costs(evaluation: SwitchingEvaluation, person: Person) -> Table:
     theirs = {} if published is None else {"prediction": published.prediction, "current": published.current}
     titles = [f"{variant} {goal}" for variant in VARIANTS for goal in goals]
     titles += [f"published {name} {goal}" for name in theirs for goal in (published.goals if published else ())]
-    table = _table("step", *titles)
+    table = figure_table("step", *titles, wrap=True)
     for k in range(evaluation.settings["runs"]["steps"]):
         cells = []
         for variant in VARIANTS:
@@ -83,7 +83,7 @@ def _costs(evaluation: SwitchingEvaluation, person: Person) -> Table:
 
 
 def _switches(evaluation: SwitchingEvaluation, person: Person) -> Table:
-    table = _table("step of the first switch", "seed 0", "all seeds", "published")
+    table = figure_table("step of the first switch", "seed 0", "all seeds", "published", wrap=True)
     published = evaluation.published
     for variant in VARIANTS:
         steps = [run.figures.first_switch for run in person.runs if run.variant == variant]
@@ -95,21 +95,9 @@ def _switches(evaluation: SwitchingEvaluation, person: Person) -> Table:
 
 
 def _summary(summary: SwitchSummary) -> Table:
-    table = _table("", *(figures.variant for figures in summary.variants))
+    table = figure_table("", *(figures.variant for figures in summary.variants), wrap=True)
     for title, cell in _FIGURES:
         table.add_row(title, *(cell(figures) for figures in summary.variants))
-    return table
-
-
-def _headline(console: Console, text: str) -> None:
-    console.print(text, style="bold", markup=False, highlight=False)
-
-
-def _table(first: str, *others: str) -> Table:
-    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    table.add_column(first)
-    for title in others:
-        table.add_column(title, overflow="fold")
     return table
 
 
