@@ -11,7 +11,7 @@ from humanpred_ros.reaching.end_postures import HAND, N_START
 #: A hand this much closer to its start than it was at most has turned back; trackers are off by half as much.
 TURNED_M = 0.04
 #: Somebody who came back to less than this share of the way, and goes out again by so much, reaches anew.
-_BACK_SHARE, _SET_OUT_M = 0.5, 0.06
+_BACK_SHARE, _SET_OUT_M = 0.5, 0.1
 _N_CALM = 3
 
 
