@@ -109,7 +109,9 @@ def evaluate_reaching(
     begin = time.perf_counter()
     config = config or ReachingConfig()
     if len(recordings) < 2:
-        raise UsageError(f"evaluation: wanted at least 2 recordings, to leave one out, got {len(recordings)}")
+        raise UsageError(
+            f"evaluation: wanted at least 2 recordings, to leave one out, got {len(recordings)}; add others"
+        )
     known = {recording.name for recording in recordings}
     if twice := [recording.name for recording in interference if recording.name in known]:
         raise UsageError(f"interference case: wanted recordings not learned from, got {', '.join(twice)} again")

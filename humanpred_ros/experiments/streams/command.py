@@ -13,6 +13,7 @@ from rich.table import Table
 
 from humanpred_ros.experiments.evaluation_files import library_facts, machine_facts
 from humanpred_ros.experiments.options import Outputs, add_jobs, add_library, add_outputs, progress_lines, read_library
+from humanpred_ros.experiments.recognition.classifiers import EVALUATED
 from humanpred_ros.experiments.recognition.reference import advice_beside
 from humanpred_ros.experiments.standing import StandingConfig
 from humanpred_ros.experiments.streams.composed import StreamConfig
@@ -29,7 +30,6 @@ from humanpred_ros.experiments.streams.truth import TruthConfig
 from humanpred_ros.experiments.text import headline
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.onset import OnsetConfig
-from humanpred_ros.recognition.registry import CLASSIFIERS
 
 #: Advice (in the file beside a library) that says a motion is mistracked, or may be.
 _FLAGS = ("exclude", "suspect")
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--classifier",
         default=DEFAULT_CLASSIFIER,
         metavar="NAME",
-        help=f"one of {', '.join(CLASSIFIERS)}; none: onsets and ends only",
+        help=f"one of {', '.join(EVALUATED)}; none: onsets and ends only",
     )
     add_outputs(parser)
     add_jobs(parser)

@@ -12,11 +12,11 @@ import numpy as np
 from humanpred_ros.errors import LibraryFormatError, UsageError
 from humanpred_ros.experiments.evaluation_files import plain
 from humanpred_ros.experiments.parallel import map_processes
+from humanpred_ros.experiments.recognition.classifiers import make_evaluated
 from humanpred_ros.experiments.streams.runs import PERCENTS, VARIANTS, Outcome, StreamRuns
 from humanpred_ros.experiments.streams.scores import FalseStarts, MotionScore, OnsetFigures, onset_figures
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.recognition.onset import OnsetConfig
-from humanpred_ros.recognition.registry import make_classifier
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class StreamEvaluationConfig:
         if self.seed < 0:
             raise UsageError(f"seed: wanted a number of at least 0, got {self.seed}")
         if self.classifier is not None:
-            make_classifier(self.classifier)
+            make_evaluated(self.classifier)
 
 
 @dataclass(frozen=True)

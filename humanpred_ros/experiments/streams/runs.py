@@ -12,6 +12,7 @@ import numpy as np
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import HumanPredError, LibraryFormatError
+from humanpred_ros.experiments.recognition.classifiers import make_evaluated
 from humanpred_ros.experiments.recognition.scores import decided_right
 from humanpred_ros.experiments.standing import StandingNoise, standing_noise
 from humanpred_ros.experiments.streams.composed import Placed, Stream, build_stream, returns_home, standing_stream
@@ -20,7 +21,6 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
 from humanpred_ros.recognition.onset import BodyPoints, OnsetConfig, OnsetDetector
-from humanpred_ros.recognition.registry import make_classifier
 from humanpred_ros.recognition.stream import StreamClassifier
 
 #: Where in the recorded motion recognition is looked at.
@@ -188,7 +188,7 @@ class StreamRuns:
 
     def _recognition(self, index: int, name: str) -> tuple[tuple[Recognition, ...], int, FloatArray]:
         rest = self.library.select(lambda motion: motion.index != index)
-        wrapped = StreamClassifier(make_classifier(name), human=self.human)
+        wrapped = StreamClassifier(make_evaluated(name), human=self.human)
         wrapped.config = replace(wrapped.config, onset=self.onset)
         classifier = wrapped.fit(rest)
         stream, _ = self.streams(index, VARIANTS[0])
