@@ -31,17 +31,15 @@ from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, MISSED, REPLAN,
 from humanpred_ros.planning.goal_check import outside_limits, usable_configurations
 from humanpred_ros.planning.guard import has_become_bad, stop_reason
 from humanpred_ros.planning.motion_check import MotionChecker, SelfClearance
-from humanpred_ros.planning.path import straight
 from humanpred_ros.planning.person import Person
-from humanpred_ros.planning.reconnection import reconnect
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.planning.schedule import Schedule
 from humanpred_ros.planning.situation import Situation, Tools
 from humanpred_ros.planning.step import ReplanningStep
 from humanpred_ros.planning.stomp import Float32Array
 from humanpred_ros.planning.stopping import brake_along
-from humanpred_ros.planning.timing import time_parameterise
 from humanpred_ros.planning.trajectory import TimedTrajectory
+from humanpred_ros.planning.warm_up import warm_up
 from humanpred_ros.robot.chain import BodyPoints, BodySpheres, KinematicChain, reach_m
 from humanpred_ros.robot.distance_field import SignedDistanceField
 from humanpred_ros.robot.goal import Goal
@@ -325,27 +323,8 @@ class MultiGoalReplanner:
 
     def warm_up(self) -> None:
         """Compile everything a step needs, so that the first one is no slower than the others."""
-        q = next(iter(self._configurations.values()))[0]
-        centre, _ = reach_m(self.chain, self.arm.spheres())
-        grid = VoxelGrid((float(centre[0]), float(centre[1]), float(centre[2])), 0.05, (4, 4, 4))
-        corner = np.zeros(grid.shape, dtype=np.float32)
-        corner[0, 0, 0] = 1.0
-        occupancy = Occupancy(grid, corner)
-        planner, _ = self._tools.planner(occupancy)
-        path = straight(q, q + 0.1, self.config.stomp.n_waypoints)
-        planner.plan(path, np.random.default_rng(0))
-        reconnect(q, path, planner.terms, self.weights, self.config.reconnect_step, len(path))
-        trajectory = time_parameterise(path, self.velocity_limit, self.acceleration_limit)
-        middle_s = 0.5 * trajectory.duration_s
-        _, v, a = trajectory.sample(middle_s)
-        time_parameterise(path, self.velocity_limit, self.acceleration_limit, v, a)
-        brake_along(trajectory, middle_s, self.acceleration_limit)
-        self._tools.checker.first_trouble(trajectory)
-        person = self._tools.person(occupancy)
-        person.in_the_way(trajectory, 0.0)
-        person.on_the_way(trajectory, 0.0)
-        person.least_gap_m(trajectory, 0.0)
-        person.comes_to(q)
+        centre_m, _ = reach_m(self.chain, self.arm.spheres())
+        warm_up(self._tools, next(iter(self._configurations.values()))[0], centre_m)
 
     def close(self) -> None:
         """End the threads; the replanner cannot plan any more."""
