@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -10,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from paths import REPOSITORY
-from waiting import wait_until
 
-from humanpred_ros.experiments.processes import NodeGroup, free_domain_id
+from humanpred_ros.experiments.processes import free_domain_id
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
@@ -21,8 +19,13 @@ from humanpred_ros.robot.scene import load_scene
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from node_client import NodeClient
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
 
-from humanpred_ros.nodes import conversions, topics
+from humanpred_ros.nodes import conversions, qos, topics
 from humanpred_ros.nodes.occupancy_predictor import OccupancyPredictorNode
 from humanpred_ros.nodes.run_recorder import RunRecorder
 from humanpred_ros.nodes.stomp_planner import StompPlannerNode
@@ -149,14 +152,40 @@ def test_the_recorder_asks_for_markers_only_when_told_to(
     assert pictures & BagReader(tmp_path / "bag").topics.keys() == (pictures if markers else set())
 
 
+class RunListener(NodeClient):
+    """Starts the planner and listens to what it decides and to where the arm goes.
+
+    Attributes:
+        actions: of the decisions, in order.
+        rested_s: for how long the arm has been at rest, by its own stamps.
+        rest_q: where the arm was last heard of, (D,).
+    """
+
+    def connect(self, node: Node) -> tuple[Publisher, ...]:
+        self.actions: list[str] = []
+        self.rested_s = np.inf
+        self._moved_ns = 0
+        node.create_subscription(
+            DiagnosticArray, topics.DECISION, lambda m: self.actions.append(m.status[0].message), qos.LOSSLESS
+        )
+        node.create_subscription(JointState, topics.JOINT_STATES, self._on_state, qos.SENSOR_SUBSCRIBER)
+        return ()
+
+    def _on_state(self, message: JointState) -> None:
+        stamp_ns = conversions.stamp_ns(message.header.stamp)
+        if np.abs(message.velocity).max(initial=0.0) > 1e-6:
+            self._moved_ns = stamp_ns
+        self.rested_s = (stamp_ns - self._moved_ns) / NS
+        self.rest_q = np.asarray(message.position)
+
+
 def test_a_tracker_that_dies_stops_the_arm(tmp_path: Path) -> None:
-    with NodeGroup(tmp_path / "logs", free_domain_id()) as group:
-        recorder = {"output": str(tmp_path / "bag")}
-        group.start("run_recorder", recorder)
-        group.start("simulated_pr2", {"scene": "face_to_face"})
-        group.start("stomp_planner", {"scene": "face_to_face", "controller": "simulated_pr2"})
-        group.start("occupancy_predictor", {"predictor": "current", "listener": "stomp_planner"})
-        tracker = group.start(
+    planner = {"scene": "face_to_face", "controller": "simulated_pr2"}
+    with RunListener(tmp_path, "stomp_planner", planner) as run:
+        run.group.start("run_recorder", {"output": str(tmp_path / "bag")})
+        run.group.start("simulated_pr2", {"scene": "face_to_face"})
+        run.group.start("occupancy_predictor", {"predictor": "current", "listener": "stomp_planner"})
+        tracker = run.group.start(
             "skeleton_tracker_replay",
             {
                 "trajectory": "3/2",
@@ -164,22 +193,15 @@ def test_a_tracker_that_dies_stops_the_arm(tmp_path: Path) -> None:
                 "listener": "occupancy_predictor",
             },
         )
-        planner = tmp_path / "logs" / "stomp_planner.log"
-        wait_until(lambda: "replan" in planner.read_text(encoding="utf-8"), "the arm to start")
+        run.wait(lambda: "replan" in run.actions and run.rested_s == 0.0, "the arm to move", timeout_s=60.0)
         tracker.process.kill()
-        wait_until(lambda: "stale human data" in planner.read_text(encoding="utf-8"), "the hold")
-        group.nodes.remove(tracker)
-        group.check()
-        wait_until(lambda: braked(tmp_path / "logs"), "the arm to come to rest", 10.0)
+        run.group.nodes.remove(tracker)
+        run.wait(lambda: run.actions[-1] == "hold" and run.rested_s > 0.5, "the arm to come to rest")
+        run.group.check()
     bag = BagReader(tmp_path / "bag")
     actions = [message.status[0].message for _, message in bag.decoded(topics.DECISION)]
     assert actions[-1] == "hold"
     states = [message for _, message in bag.decoded(topics.JOINT_STATES)]
-    assert np.abs(states[-1].velocity).max() < 1e-6
+    np.testing.assert_array_equal(states[-1].position, run.rest_q)
     for goal in SCENE.goals:
-        assert np.abs(np.asarray(states[-1].position) - goal.configuration).max() > 0.05
-
-
-def braked(logs: Path) -> bool:
-    """Whether a second has passed since the planner announced the hold: braking takes less."""
-    return time.time() - (logs / "stomp_planner.log").stat().st_mtime > 1.0
+        assert np.abs(run.rest_q - goal.configuration).max() > 0.05
