@@ -19,7 +19,7 @@ from visualization_msgs.msg import MarkerArray
 from humanpred_ros.experiments.processes import ParameterValue
 from humanpred_ros.nodes import conversions, qos, topics
 from humanpred_ros.occupancy.grid import Occupancy
-from humanpred_ros.planning.trajectory import TimedTrajectory
+from humanpred_ros.planning.timing.trajectory import TimedTrajectory
 from humanpred_ros.robot.scene import Scene
 
 NS = conversions.NS_PER_S

@@ -15,7 +15,7 @@ from sensor_msgs.msg import PointCloud2
 
 from humanpred_ros.experiments.processes import NodeProcess, ParameterValue
 from humanpred_ros.nodes import conversions, qos, topics
-from humanpred_ros.reaching.goal_places import GoalPlaces
+from humanpred_ros.reaching.goals.places import GoalPlaces
 from humanpred_ros.recording.messages import point_cloud2_fields
 from humanpred_ros.robot.scene import load_scene
 

@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
-from humanpred_ros.planning.motion_check import MotionChecker, Trouble
 from humanpred_ros.planning.person_distance import PersonDistance
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.trajectory import TimedTrajectory
+from humanpred_ros.planning.timing.trajectory import TimedTrajectory
+from humanpred_ros.planning.validity.motion_check import MotionChecker, Trouble
 from humanpred_ros.robot.chain import reach_m
 
 #: Distances beyond this many times the separation need not be told apart, and this at least, m.

@@ -26,19 +26,19 @@ from numpy.typing import ArrayLike
 from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
-from humanpred_ros.planning.costs import ObstacleCost, SmoothnessCost
 from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, MISSED, REPLAN, Decision
-from humanpred_ros.planning.goal_check import outside_limits, usable_configurations
 from humanpred_ros.planning.guard import has_become_bad, stop_reason
-from humanpred_ros.planning.motion_check import MotionChecker, SelfClearance
 from humanpred_ros.planning.person import Person
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.planning.schedule import Schedule
 from humanpred_ros.planning.situation import Situation, Tools
 from humanpred_ros.planning.step import ReplanningStep
-from humanpred_ros.planning.stomp import Float32Array
-from humanpred_ros.planning.stopping import brake_along
-from humanpred_ros.planning.trajectory import TimedTrajectory
+from humanpred_ros.planning.stomp.costs import ObstacleCost, SmoothnessCost
+from humanpred_ros.planning.stomp.planner import Float32Array
+from humanpred_ros.planning.timing.stopping import brake_along
+from humanpred_ros.planning.timing.trajectory import TimedTrajectory
+from humanpred_ros.planning.validity.goal_check import outside_limits, usable_configurations
+from humanpred_ros.planning.validity.motion_check import MotionChecker, SelfClearance
 from humanpred_ros.planning.warm_up import warm_up
 from humanpred_ros.robot.chain import BodyPoints, BodySpheres, KinematicChain, reach_m
 from humanpred_ros.robot.distance_field import SignedDistanceField

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import PlanningError
-from humanpred_ros.planning.trajectory import TimedTrajectory, at_rest
+from humanpred_ros.planning.timing.trajectory import TimedTrajectory, at_rest
 
 #: Trajectories kept; at ten steps a second this is some seconds of changing movement.
 _REMEMBERED = 64

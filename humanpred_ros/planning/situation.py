@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.occupancy.grid import Occupancy
-from humanpred_ros.planning.costs import HumanOccupancyCost, ObstacleCost, SmoothnessCost
 from humanpred_ros.planning.margin import widened
-from humanpred_ros.planning.motion_check import MotionChecker
 from humanpred_ros.planning.person import Person
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.stomp import StompPlanner
-from humanpred_ros.planning.trajectory import TimedTrajectory
+from humanpred_ros.planning.stomp.costs import HumanOccupancyCost, ObstacleCost, SmoothnessCost
+from humanpred_ros.planning.stomp.planner import StompPlanner
+from humanpred_ros.planning.timing.trajectory import TimedTrajectory
+from humanpred_ros.planning.validity.motion_check import MotionChecker
 from humanpred_ros.robot.chain import BodyPoints, KinematicChain
 
 

@@ -18,13 +18,13 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
 from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
 from humanpred_ros.occupancy.sampled_futures import SampledFutures, SweepConfig
-from humanpred_ros.reaching.goal_inference import GoalClassifier
-from humanpred_ros.reaching.goal_places import GoalPlaces
-from humanpred_ros.reaching.named_weights import named_weights
-from humanpred_ros.reaching.reach_futures import ReachFutures, ReachFuturesConfig
-from humanpred_ros.reaching.reach_model import ReachModel
-from humanpred_ros.reaching.reach_progress import ReachProgress
-from humanpred_ros.reaching.scene import ReachScene
+from humanpred_ros.reaching.costs.named_weights import named_weights
+from humanpred_ros.reaching.costs.reach_scene import ReachScene
+from humanpred_ros.reaching.futures.model import ReachModel
+from humanpred_ros.reaching.futures.progress import ReachProgress
+from humanpred_ros.reaching.futures.samples import ReachFutures, ReachFuturesConfig
+from humanpred_ros.reaching.goals.inference import GoalClassifier
+from humanpred_ros.reaching.goals.places import GoalPlaces
 from humanpred_ros.recognition.stream import StreamClassifier
 
 #: P2's cost as its authors learned it (facts: icra2015, section 4).

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from humanpred_ros.planning.decision import Decision, GoalReport
-from humanpred_ros.planning.trajectory import at_rest
+from humanpred_ros.planning.timing.trajectory import at_rest
 
 
 def report(name: str = "red", cost: float = 1.0, valid: bool = True) -> GoalReport:

@@ -8,11 +8,11 @@ from planning_worlds import free_space, nobody, planar_arm, somebody_at
 
 from humanpred_ros.occupancy.grid import Occupancy
 from humanpred_ros.planning.guard import has_become_bad, stop_reason
-from humanpred_ros.planning.motion_check import MotionChecker
 from humanpred_ros.planning.person import Person
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.planning.schedule import Schedule
-from humanpred_ros.planning.timing import time_parameterise
+from humanpred_ros.planning.timing.parameterisation import time_parameterise
+from humanpred_ros.planning.validity.motion_check import MotionChecker
 
 ARM = planar_arm()
 CHECKER = MotionChecker(ARM.chain, ARM.spheres(), free_space())

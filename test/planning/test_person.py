@@ -8,11 +8,11 @@ from planning_worlds import PLANE, free_space, planar_arm, somebody_at
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.occupancy.grid import Occupancy
-from humanpred_ros.planning.motion_check import MotionChecker
 from humanpred_ros.planning.person import Person
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.timing import time_parameterise
-from humanpred_ros.planning.trajectory import TimedTrajectory
+from humanpred_ros.planning.timing.parameterisation import time_parameterise
+from humanpred_ros.planning.timing.trajectory import TimedTrajectory
+from humanpred_ros.planning.validity.motion_check import MotionChecker
 
 ARM = planar_arm()
 CHECKER = MotionChecker(ARM.chain, ARM.spheres(), free_space())

@@ -15,9 +15,9 @@ from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
 from humanpred_ros.planning.decision import Decision
 from humanpred_ros.planning.replanner import MultiGoalReplanner
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.rounds import TURN
-from humanpred_ros.planning.stomp import StompConfig
-from humanpred_ros.planning.trajectory import LIMIT_TOLERANCE
+from humanpred_ros.planning.stomp.planner import StompConfig
+from humanpred_ros.planning.stomp.rounds import TURN
+from humanpred_ros.planning.timing.trajectory import LIMIT_TOLERANCE
 from humanpred_ros.robot.scene import Goal
 
 ARM = planar_arm()

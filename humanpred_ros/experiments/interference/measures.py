@@ -13,9 +13,9 @@ from humanpred_ros.experiments.interference.motion import ExecutedMotion, goal_r
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.occupancy.grid import Occupancy
-from humanpred_ros.planning.costs import HumanOccupancyCost, as_batch
 from humanpred_ros.planning.decision import EVADE, HOLD, REPLAN, Decision
-from humanpred_ros.planning.path import path_integral, path_parameter
+from humanpred_ros.planning.stomp.costs import HumanOccupancyCost, as_batch
+from humanpred_ros.planning.timing.path import path_integral, path_parameter
 from humanpred_ros.robot.scene import Scene
 from humanpred_ros.robot.separation import Separation, SeparationMeter
 

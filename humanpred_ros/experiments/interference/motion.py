@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.planning.decision import MISSED, Decision
-from humanpred_ros.planning.trajectory import TimedTrajectory, at_rest
+from humanpred_ros.planning.timing.trajectory import TimedTrajectory, at_rest
 from humanpred_ros.robot.scene import Scene
 
 #: Largest joint error at which a goal counts as reached, rad.

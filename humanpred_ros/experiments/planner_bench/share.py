@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.experiments.planner_bench.world import BenchWorld
-from humanpred_ros.planning import stomp_kernels
-from humanpred_ros.planning.kernels import BLOCK
-from humanpred_ros.planning.stomp_oracle import StompOracle, human_term, obstacle_term, smoothness_term
+from humanpred_ros.planning.stomp import iteration_kernels
+from humanpred_ros.planning.stomp.cost_kernels import BLOCK
+from humanpred_ros.planning.stomp.oracle import StompOracle, human_term, obstacle_term, smoothness_term
 
 BoolArray = NDArray[np.bool_]
 
@@ -51,7 +51,7 @@ def oracle_of(world: BenchWorld) -> StompOracle:
 def lookup_share(world: BenchWorld, path: FloatArray) -> LookupShare:
     """Return the share of lookups done in an iteration around the trajectory `path` (N, 7)."""
     oracle, count = oracle_of(world), world.case.rollouts
-    bits = stomp_kernels.random_bits(np.random.default_rng(0), path[1:-1].size * count)[: path[1:-1].size * count]
+    bits = iteration_kernels.random_bits(np.random.default_rng(0), path[1:-1].size * count)[: path[1:-1].size * count]
     q = np.concatenate([oracle.rollouts(path, oracle.noise(bits, count)), path[None]]).reshape(-1, path.shape[1])
     points, spheres = _points_done(world, q), _spheres_done(world, q)
     n_points, n_spheres = world.case.points, world.case.spheres

@@ -12,7 +12,7 @@ import numpy as np
 
 from humanpred_ros.experiments.planner_bench.floor import Lookup, Yardstick
 from humanpred_ros.experiments.planner_bench.world import BenchWorld, Case
-from humanpred_ros.planning.stomp import Plan
+from humanpred_ros.planning.stomp.planner import Plan
 
 #: Plans per measurement of what is fast; single calls are at the mercy of whatever else the machine does.
 _CALLS = 3

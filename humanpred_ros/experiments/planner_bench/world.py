@@ -14,9 +14,9 @@ import numpy as np
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import UsageError
 from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
-from humanpred_ros.planning.costs import HumanOccupancyCost, ObstacleCost, SmoothnessCost
-from humanpred_ros.planning.path import straight
-from humanpred_ros.planning.stomp import StompConfig, StompPlanner
+from humanpred_ros.planning.stomp.costs import HumanOccupancyCost, ObstacleCost, SmoothnessCost
+from humanpred_ros.planning.stomp.planner import StompConfig, StompPlanner
+from humanpred_ros.planning.timing.path import straight
 from humanpred_ros.robot.chain import BodyPoints, BodySpheres
 from humanpred_ros.robot.distance_field import SignedDistanceField, build_distance_field
 from humanpred_ros.robot.pr2 import BODY_POINT_SPACING_M, Pr2Arm

@@ -25,7 +25,7 @@ from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR, OccupancyPredictor
 from humanpred_ros.predictors.factory import PREDICTORS, make_predictor
 from humanpred_ros.predictors.reach_sources import ReachKnowledge
-from humanpred_ros.reaching.goal_places import GoalPlaces
+from humanpred_ros.reaching.goals.places import GoalPlaces
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER, IntentClassifier
 from humanpred_ros.recognition.model_file import save_model
 from humanpred_ros.recognition.registry import CLASSIFIERS, trained_classifier

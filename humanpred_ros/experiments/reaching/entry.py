@@ -9,7 +9,7 @@ from humanpred_ros.errors import UsageError
 from humanpred_ros.experiments.reaching.learned import WeightTable
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
-from humanpred_ros.reaching.task import ReachPredictor
+from humanpred_ros.reaching.prediction.task import ReachPredictor
 
 #: Gives the predictor for a recording, by name; it knows all recordings to learn from but that one.
 Without = Callable[[str], ReachPredictor]

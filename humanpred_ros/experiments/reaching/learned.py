@@ -10,8 +10,8 @@ from types import MappingProxyType
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
-from humanpred_ros.reaching.learning import LearningConfig, ReachLearner, ReachWeights
-from humanpred_ros.reaching.piirl import PiirlConfig
+from humanpred_ros.reaching.learning.learner import LearningConfig, ReachLearner, ReachWeights
+from humanpred_ros.reaching.learning.piirl import PiirlConfig
 
 PUBLISHED, ALONE, IMPROVED = "published", "alone", "improved"
 _AS_PUBLISHED = LearningConfig(keep_unfit=True)

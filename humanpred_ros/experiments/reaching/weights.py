@@ -18,10 +18,10 @@ from humanpred_ros.checks import FloatArray
 from humanpred_ros.experiments.reaching.learned import ALONE, IMPROVED, LEARNING, PUBLISHED, LearnedWeights
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
-from humanpred_ros.reaching.features import FEATURE_NAMES, ReachFeatures
-from humanpred_ros.reaching.named_weights import NAMED_WEIGHTS
-from humanpred_ros.reaching.piirl import contrasts
-from humanpred_ros.reaching.splitting import demonstrations
+from humanpred_ros.reaching.costs.features import FEATURE_NAMES, ReachFeatures
+from humanpred_ros.reaching.costs.named_weights import NAMED_WEIGHTS
+from humanpred_ros.reaching.learning.piirl import contrasts
+from humanpred_ros.reaching.learning.splitting import demonstrations
 
 #: Samples of each demonstration that say how much a feature varies.
 _N_SAMPLES = 200

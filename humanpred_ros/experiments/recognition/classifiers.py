@@ -7,8 +7,8 @@ from types import MappingProxyType
 from typing import TypeAlias
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.reaching.goal_inference import GoalClassifier
-from humanpred_ros.reaching.goal_model import GoalConfig
+from humanpred_ros.reaching.goals.inference import GoalClassifier
+from humanpred_ros.reaching.goals.model import GoalConfig
 from humanpred_ros.recognition.classifier import IntentClassifier
 from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.gmm_config import GmmConfig

@@ -24,7 +24,7 @@ from humanpred_ros.experiments.interference.tables import print_interference
 from humanpred_ros.experiments.interference.world import RunSettings, World, training_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.stomp import StompConfig
+from humanpred_ros.planning.stomp.planner import StompConfig
 from humanpred_ros.recognition.gmm_config import GmmConfig
 
 SETTINGS = RunSettings(

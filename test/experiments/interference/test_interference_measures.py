@@ -15,10 +15,10 @@ from humanpred_ros.experiments.interference.motion import ExecutedMotion
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
-from humanpred_ros.planning.costs import POINTS_OF_P1, HumanOccupancyCost
-from humanpred_ros.planning.path import straight
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.trajectory import TimedTrajectory
+from humanpred_ros.planning.stomp.costs import POINTS_OF_P1, HumanOccupancyCost
+from humanpred_ros.planning.timing.path import straight
+from humanpred_ros.planning.timing.trajectory import TimedTrajectory
 from humanpred_ros.robot.chain import BodyPoints, KinematicChain
 from humanpred_ros.robot.scene import Scene, load_scene
 

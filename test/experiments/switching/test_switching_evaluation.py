@@ -22,7 +22,7 @@ from humanpred_ros.experiments.switching.runs import VARIANTS, Choosing, SwitchT
 from humanpred_ros.experiments.switching.tables import print_switching
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.stomp import StompConfig
+from humanpred_ros.planning.stomp.planner import StompConfig
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.robot.scene import load_scene
 
