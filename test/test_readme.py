@@ -43,10 +43,3 @@ def test_the_two_commands_come_first() -> None:
     assert first[1].endswith("humanpred demo")
     assert second[0] == "test"
     assert second[1].endswith("pytest")
-
-
-def test_the_two_commands_may_follow_one_another_in_one_environment() -> None:
-    # A package that has run leaves compiled kernels beside itself. pip does not remove these with it, and what is left
-    # of an ordinary installation is found before an editable one.
-    commands = re.findall(r"^```bash (?:demo|test)\n(.+?)\n```", README, flags=re.MULTILINE | re.DOTALL)
-    assert [" -e " in command for command in commands] == [True, True]

@@ -2,9 +2,6 @@
 
 What is computed is what `StompPlanner` computes term by term, with the same kernels. It applies where the terms
 are those of an arm among obstacles and people; any other terms are called one by one.
-
-Numba's cache looks at this file only: after a change in `cost_kernels`, `iteration_kernels` or `accelerations`,
-touch it.
 """
 
 from __future__ import annotations

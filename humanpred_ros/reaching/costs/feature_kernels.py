@@ -10,9 +10,9 @@ import numpy as np
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.compiled import exact, fast
-from humanpred_ros.reaching.costs.stencils import REACH
 
-_REACH = REACH
+#: How far a rule of `stencils` looks to each side.
+REACH = 3
 _RULE_LENGTH = 2 * REACH + 1
 
 
@@ -23,15 +23,15 @@ def differences(y: FloatArray, before: FloatArray, rules: FloatArray, out: Float
     The last waypoint has no step: 0.
     """
     n_reaches, n, n_signals = y.shape
-    padded = np.empty((n + 2 * _REACH, n_signals))
+    padded = np.empty((n + 2 * REACH, n_signals))
     for r in range(n_reaches):
-        for i in range(-_REACH, n + _REACH):
-            _fetch(y, before, r, i, padded[i + _REACH])
+        for i in range(-REACH, n + REACH):
+            _fetch(y, before, r, i, padded[i + REACH])
         for i in range(n):
             step = 0.0
             for c in range(n_signals):
                 # After the last waypoint comes its copy, so it has no step.
-                d = padded[i + _REACH + 1, c] - padded[i + _REACH, c]
+                d = padded[i + REACH + 1, c] - padded[i + REACH, c]
                 step += d * d
             out[r, i, 0] = step
             for k in range(len(rules)):
@@ -68,7 +68,7 @@ def differences_back(
                     out[r, i + 1, c] += d
                     out[r, i, c] -= d
             for o in range(_RULE_LENGTH):
-                _fetch(y, before, r, i + o - _REACH, window[o])
+                _fetch(y, before, r, i + o - REACH, window[o])
             for k in range(len(rules)):
                 if weights[1 + k] == 0.0:
                     continue
@@ -78,7 +78,7 @@ def differences_back(
                         value += rules[k, o] * window[o, c]
                     value *= 2.0 * weights[1 + k]
                     for o in range(_RULE_LENGTH):
-                        at = i + o - _REACH
+                        at = i + o - REACH
                         if at >= n:
                             at = n - 1
                         if at < 0:

@@ -19,7 +19,8 @@ from humanpred_ros.errors import ArrayError, MotionError
 from humanpred_ros.human.chain_points import ChainPoints
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching.costs import feature_kernels
-from humanpred_ros.reaching.costs.stencils import PADDING, REACH, RULES
+from humanpred_ros.reaching.costs.feature_kernels import REACH
+from humanpred_ros.reaching.costs.stencils import PADDING, RULES
 
 #: Links whose distances to the partner's are features (P2 III-A), in that order.
 LINK_POINTS = ("pelvis", "right_wrist", "right_elbow", "right_shoulder")

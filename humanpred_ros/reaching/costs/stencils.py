@@ -15,6 +15,7 @@ from scipy.linalg import cholesky_banded, solveh_banded
 
 from humanpred_ros.checks import FloatArray, frozen
 from humanpred_ros.errors import MotionError
+from humanpred_ros.reaching.costs.feature_kernels import REACH
 from humanpred_ros.reaching.costs.smooth_noise_kernels import solve_upper
 
 #: First, second and third difference over offsets -3..+3, in units of dt.
@@ -23,8 +24,6 @@ ACCELERATION_RULE = tuple(c / 12.0 for c in (0.0, -1.0, 16.0, -30.0, 16.0, -1.0,
 JERK_RULE = tuple(c / 12.0 for c in (0.0, 1.0, -17.0, 46.0, -46.0, 17.0, -1.0))
 #: One rule for each derivative, as rows of one array (3, 7).
 RULES = np.array([VELOCITY_RULE, ACCELERATION_RULE, JERK_RULE])
-#: How far a rule looks to each side.
-REACH = 3
 #: Postures kept of what came before a reach (P2: 6), more than the rules look back.
 PADDING = 6
 
