@@ -16,9 +16,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,47 +24,27 @@ from numpy.typing import ArrayLike
 from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
-from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, MISSED, REPLAN, Decision
+from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, MISSED, Decision
 from humanpred_ros.planning.guard import has_become_bad, stop_reason
 from humanpred_ros.planning.person import Person
+from humanpred_ros.planning.progress import Progress
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.planning.schedule import Schedule
-from humanpred_ros.planning.situation import Situation, Tools
 from humanpred_ros.planning.step import ReplanningStep
-from humanpred_ros.planning.stomp.costs import ObstacleCost, SmoothnessCost
 from humanpred_ros.planning.stomp.planner import Float32Array
 from humanpred_ros.planning.timing.stopping import brake_along
-from humanpred_ros.planning.timing.trajectory import TimedTrajectory
+from humanpred_ros.planning.tools import Tools
 from humanpred_ros.planning.validity.goal_check import outside_limits, usable_configurations
-from humanpred_ros.planning.validity.motion_check import MotionChecker, SelfClearance
+from humanpred_ros.planning.validity.motion_check import SelfClearance
 from humanpred_ros.planning.warm_up import warm_up
-from humanpred_ros.robot.chain import BodyPoints, BodySpheres, KinematicChain, reach_m
+from humanpred_ros.robot.arm import Arm
+from humanpred_ros.robot.chain import reach_m
 from humanpred_ros.robot.distance_field import SignedDistanceField
 from humanpred_ros.robot.goal import Goal
 from humanpred_ros.robot.scene import Scene
 from humanpred_ros.robot.self_collision import SelfCollision
 
-__all__ = ["Arm", "MultiGoalReplanner", "ReplannerConfig"]
-
-#: Stamps count as due this much early, s: they are whole nanoseconds, periods are not.
-_DUE_TOLERANCE_S = 1e-6
-#: What a timed trajectory may lose of clearance against its path, m: corners are rounded off, and what is left of
-#: the old velocity leads off the path for a moment.
-_EXECUTION_SLACK_M = 0.005
-
-
-class Arm(Protocol):
-    """What the replanner needs of a robot arm; `robot.pr2.Pr2Arm` is one."""
-
-    chain: KinematicChain
-
-    def body_points(self) -> BodyPoints: ...
-
-    def spheres(self) -> BodySpheres: ...
-
-    def difference(self, q_from: ArrayLike, q_to: ArrayLike) -> FloatArray: ...
-
-    def configuration_distance(self, a: ArrayLike, b: ArrayLike) -> FloatArray: ...
+__all__ = ["MultiGoalReplanner", "ReplannerConfig"]
 
 
 class MultiGoalReplanner:
@@ -111,29 +89,12 @@ class MultiGoalReplanner:
             raise PlanningError(f"replanner: wanted one or more goals of different names, got {names}")
         self.goal_names = tuple(names)
         self._grid = grid
-        n = self.chain.n_joints
-        # The weight of a joint is the distance of a one-radian change of it alone.
-        self.weights = np.array([float(arm.configuration_distance(np.zeros(n), unit)) for unit in np.eye(n)])
-        self.velocity_limit = self.config.velocity_scale * self.chain.velocity_limit
-        self.acceleration_limit = np.array(np.broadcast_to(self.config.acceleration_limit, (n,)), dtype=np.float64)
-        stomp, spheres = self.config.stomp, arm.spheres()
-        self._tools = Tools(
-            config=self.config,
-            chain=self.chain,
-            points=arm.body_points(),
-            obstacles=ObstacleCost(self.chain, spheres, field, stomp.obstacle_weight, margin_m=self.config.padding_m),
-            smoothness=SmoothnessCost(stomp.smoothness_weight),
-            checker=MotionChecker(
-                self.chain, spheres, field, self.config.padding_m - _EXECUTION_SLACK_M, self_clearance
-            ),
-            weights=self.weights,
-            velocity_limit=self.velocity_limit,
-            acceleration_limit=self.acceleration_limit,
-            pool=ThreadPoolExecutor(self.config.n_threads) if self.config.n_threads > 1 else None,
-        )
+        self._tools = tools = Tools.of_arm(arm, field, self.config, self_clearance)
+        self.weights = tools.weights
+        self.velocity_limit, self.acceleration_limit = tools.velocity_limit, tools.acceleration_limit
         self._configurations = {goal.name: usable_configurations(goal, self._tools.checker) for goal in goals}
         self._task_costs = {goal.name: goal.task_cost for goal in goals}
-        self._schedule: Schedule | None = None
+        self._progress: Progress | None = None
         self._noise_std: FloatArray | None = None
         self.keep_rollouts = False
         self.rollouts: dict[str, Float32Array] = {}
@@ -162,18 +123,9 @@ class MultiGoalReplanner:
         outside = outside_limits(self.chain, q)
         if outside:
             raise PlanningError(f"start configuration: {outside}; is the robot reporting this arm's joints?")
-        self._schedule = Schedule(q, t_s)
-        self._goals = {name: q + self.arm.difference(q, goal) for name, goal in self._configurations.items()}
-        self._paths: dict[str, FloatArray] = {}
-        self._set_aside: dict[str, str] = {}
-        self._left: dict[str, int] = {}
-        self._chosen: str | None = None
-        self._leads_to: str | None = None
-        self._step = 1
-        self._last_stamp_s = t_s
-        self._last_due_s = t_s  # P1 looks at the first 5 % of a motion before it plans
-        self._held = ""
-        self._urgent = False
+        goals = {name: q + self.arm.difference(q, goal) for name, goal in self._configurations.items()}
+        # P1 looks at the first 5 % of a motion before it plans: no step is due yet.
+        self._progress = Progress(self.config.period_s, Schedule(q, t_s), goals, last_stamp_s=t_s, last_due_s=t_s)
 
     def set_noise(self, noise_std: ArrayLike) -> None:
         """Let the steps to come use this noise, as in `StompConfig`: one number, or one for each joint.
@@ -188,8 +140,7 @@ class MultiGoalReplanner:
 
     def due(self, t_s: float) -> bool:
         """Return whether an occupancy stamped `t_s` calls for a replanning step; after an emergency stop, any does."""
-        self._started()
-        return self._urgent or t_s >= self._last_due_s + self.config.period_s - _DUE_TOLERANCE_S
+        return self._started().due(t_s)
 
     def respond(
         self,
@@ -212,18 +163,18 @@ class MultiGoalReplanner:
         Raises:
             PlanningError: as `plan`.
         """
-        self._check(occupancy)
+        progress = self._check(occupancy)
         now_s = occupancy.t_s if now is None else now()
         person = self._tools.person(occupancy)
-        schedule, t_switch_s = self._started(), occupancy.t_s + self.config.period_s
+        schedule, t_switch_s = progress.schedule, occupancy.t_s + self.config.period_s
         # Without a goal ahead it stops already, or gets out of the way as well as it can.
-        if self._leads_to is not None:
+        if progress.leads_to is not None:
             reason = stop_reason(person, schedule, now_s, t_switch_s, self.config.min_separation_m)
             if reason:
                 return replace(self.hold(now_s, reason), stamp_s=occupancy.t_s)
-        if not (self.due(occupancy.t_s) or has_become_bad(person, schedule, occupancy.t_s, t_switch_s)):
+        if not (progress.due(occupancy.t_s) or has_become_bad(person, schedule, occupancy.t_s, t_switch_s)):
             return self.keep(occupancy)
-        decision = self._planned(occupancy, person, deadline)
+        decision = self._planned(progress, occupancy, person, deadline)
         if now is not None and decision.trajectory is not None and now() >= decision.t_switch_s:
             return self.missed(decision)
         self.commit(decision)
@@ -241,8 +192,8 @@ class MultiGoalReplanner:
             PlanningError: before `start`, for an occupancy older than the last one committed, or one of another
                 lattice than the replanner was made for.
         """
-        self._check(occupancy)
-        return self._planned(occupancy, self._tools.person(occupancy), deadline)
+        progress = self._check(occupancy)
+        return self._planned(progress, occupancy, self._tools.person(occupancy), deadline)
 
     def commit(self, decision: Decision) -> None:
         """Make a decision of `plan` so: its trajectory is executed from its switch time on.
@@ -251,40 +202,30 @@ class MultiGoalReplanner:
             PlanningError: if it does not follow from the present state (already committed, or a hold came
                 in between).
         """
-        schedule = self._started()
-        if decision.step != self._step:
+        progress = self._started()
+        if decision.step != progress.step:
             raise PlanningError(
-                f"replanner: wanted the decision of step {self._step}, got that of step {decision.step}; plan again"
+                f"replanner: wanted the decision of step {progress.step}, got that of step {decision.step}; plan again"
             )
-        if decision.trajectory is not None:
-            schedule.add(decision.t_switch_s, decision.trajectory)
-        if decision.trajectory is not None or decision.action == HOLD:
-            self._leads_to = decision.chosen if decision.action == REPLAN else None
-        self._held = decision.reason if decision.action == HOLD else ""
-        self._paths.update({report.name: report.path for report in decision.goals})
-        self._set_aside = {report.name: report.set_aside for report in decision.goals if report.set_aside}
-        if decision.switched and decision.previous is not None:
-            self._left[decision.previous] = self._left.get(decision.previous, 0) + 1
-        self._chosen = decision.chosen
-        self._stepped(decision.stamp_s)
+        progress.take(decision)
 
     def keep(self, occupancy: Occupancy) -> Decision:
         """Return the answer to an occupancy for which no step is due: whatever goes on goes on."""
-        self._started()
-        last = self._step - 1
-        if self._held:
-            return Decision(occupancy.t_s, last, HOLD, self._held, self._chosen, self._chosen)
-        if self._at_goal(occupancy.t_s):
-            return Decision(occupancy.t_s, last, ARRIVED, f"at {self._chosen}", self._chosen, self._chosen)
-        return Decision(occupancy.t_s, last, KEEP, "no replanning step is due", self._chosen, self._chosen)
+        progress = self._started()
+        action, reason = KEEP, "no replanning step is due"
+        if progress.held:
+            action, reason = HOLD, progress.held
+        elif progress.at_goal(occupancy.t_s):
+            action, reason = ARRIVED, f"at {progress.chosen}"
+        return Decision(occupancy.t_s, progress.step - 1, action, reason, progress.chosen, progress.chosen)
 
     def missed(self, decision: Decision) -> Decision:
         """Record that a decision of `plan` came too late to take over; what is being executed goes on."""
-        self._started()
-        self._stepped(decision.stamp_s)
+        progress = self._started()
+        progress.count(decision.stamp_s)
         late = f"took {decision.compute_s:.3f} s, too long to take over at {decision.t_switch_s:.3f} s"
         return replace(
-            decision, action=MISSED, reason=late, chosen=self._chosen, previous=self._chosen,
+            decision, action=MISSED, reason=late, chosen=progress.chosen, previous=progress.chosen,
             t_switch_s=float("nan"), trajectory=None,
         )  # fmt: skip
 
@@ -293,28 +234,27 @@ class MultiGoalReplanner:
 
         Further holds return no new trajectory; the next plan that is committed ends the hold.
         """
-        schedule = self._started()
+        progress = self._started()
+        schedule = progress.schedule
         # An arm at rest needs no stop, unless it is about to set out.
         resting = self.at_rest(t_s) and schedule.last_from_s <= t_s
-        stop = None if self._held or resting else self._stop(schedule, t_s)
+        stop = None
+        if not (progress.held or resting):
+            stop = brake_along(schedule.at(t_s), t_s, self.acceleration_limit, self.config.sample_period_s)
         decision = Decision(
-            t_s, self._step, HOLD, reason, self._chosen, self._chosen,
+            t_s, progress.step, HOLD, reason, progress.chosen, progress.chosen,
             t_switch_s=float("nan") if stop is None else t_s, trajectory=stop,
         )  # fmt: skip
-        if stop is not None:
-            schedule.add(t_s, stop)
-            self._step += 1
-        self._held, self._leads_to = reason, None
-        self._urgent = True
+        progress.stop(decision)
         return decision
 
     def state_at(self, t_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position, velocity and acceleration (D,) commanded at `t_s`."""
-        return self._started().state_at(t_s)
+        return self._started().schedule.state_at(t_s)
 
     def at_rest(self, t_s: float) -> bool:
         """Return whether the robot is commanded to rest at `t_s`."""
-        return self._started().at(t_s).end_s <= t_s
+        return self._started().schedule.at(t_s).end_s <= t_s
 
     def tool_path(self, path: ArrayLike) -> FloatArray:
         """Return the (N, 3) world positions of the tool along a path (N, D)."""
@@ -331,41 +271,27 @@ class MultiGoalReplanner:
         if self._tools.pool is not None:
             self._tools.pool.shutdown()
 
-    def _planned(self, occupancy: Occupancy, person: Person, deadline: Callable[[], bool] | None) -> Decision:
+    def _planned(
+        self, progress: Progress, occupancy: Occupancy, person: Person, deadline: Callable[[], bool] | None
+    ) -> Decision:
         began = time.perf_counter()
-        schedule = self._started()
-        t_switch = occupancy.t_s + self.config.period_s
-        situation = Situation(
-            step=self._step,
-            stamp_s=occupancy.t_s,
-            t_switch_s=t_switch,
-            goals=self._goals,
-            task_costs=self._task_costs,
-            paths=self._paths,
-            set_aside=self._set_aside,
-            left=self._left,
-            chosen=self._chosen,
-            leads_to=self._leads_to,
-            arrived=self._at_goal(t_switch),
-            executing=schedule.at(t_switch),
-            held=bool(self._held),
-            noise_std=self._noise_std,
-        )
+        t_switch_s = occupancy.t_s + self.config.period_s
+        situation = progress.situation(occupancy.t_s, t_switch_s, self._task_costs, self._noise_std)
         step = ReplanningStep(self._tools, situation, person, deadline)
         decision = step.decide()
         self.rollouts = step.rollouts() if self.keep_rollouts else {}
         return replace(decision, compute_s=time.perf_counter() - began)
 
-    def _started(self) -> Schedule:
-        if self._schedule is None:
+    def _started(self) -> Progress:
+        if self._progress is None:
             raise PlanningError("replanner: wanted start() first, which says where the robot is; call it")
-        return self._schedule
+        return self._progress
 
-    def _check(self, occupancy: Occupancy) -> Schedule:
-        schedule = self._started()
-        if not occupancy.t_s >= self._last_stamp_s:
+    def _check(self, occupancy: Occupancy) -> Progress:
+        progress = self._started()
+        if not occupancy.t_s >= progress.last_stamp_s:
             raise PlanningError(
-                f"replanner: wanted an occupancy at {self._last_stamp_s:.3f} s or later, got {occupancy.t_s:.3f} s; "
+                f"replanner: wanted an occupancy at {progress.last_stamp_s:.3f} s or later, got {occupancy.t_s:.3f} s; "
                 "call start() when the clock jumps back"
             )
         if self._grid is not None and occupancy.grid != self._grid:
@@ -373,21 +299,4 @@ class MultiGoalReplanner:
                 f"replanner: wanted an occupancy on the scene's lattice {self._grid}, got {occupancy.grid}; "
                 "use one scene for predictor and planner"
             )
-        return schedule
-
-    def _stepped(self, stamp_s: float) -> None:
-        """Note a step; those between two due ones, for a motion that has become bad, do not put the next one off."""
-        self._step += 1
-        self._last_stamp_s = stamp_s
-        self._urgent = False
-        if stamp_s >= self._last_due_s + self.config.period_s - _DUE_TOLERANCE_S:
-            self._last_due_s = stamp_s
-
-    def _at_goal(self, t_s: float) -> bool:
-        if self._schedule is None or self._chosen is None or self._held:
-            return False
-        executing = self._schedule.at(t_s)
-        return executing.end_s <= t_s and bool((executing.q[-1] == self._goals[self._chosen]).all(axis=1).any())
-
-    def _stop(self, schedule: Schedule, t_s: float) -> TimedTrajectory:
-        return brake_along(schedule.at(t_s), t_s, self.acceleration_limit, self.config.sample_period_s)
+        return progress

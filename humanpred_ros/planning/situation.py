@@ -1,49 +1,12 @@
-"""What a replanning step works with: tools that stay the same from step to step, and where this one begins."""
+"""Where a replanning step begins."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from humanpred_ros.checks import FloatArray
-from humanpred_ros.occupancy.grid import Occupancy
-from humanpred_ros.planning.margin import widened
-from humanpred_ros.planning.person import Person
-from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.stomp.costs import HumanOccupancyCost, ObstacleCost, SmoothnessCost
-from humanpred_ros.planning.stomp.planner import StompPlanner
 from humanpred_ros.planning.timing.trajectory import TimedTrajectory
-from humanpred_ros.planning.validity.motion_check import MotionChecker
-from humanpred_ros.robot.chain import BodyPoints, KinematicChain
-
-
-@dataclass(frozen=True, eq=False)
-class Tools:
-    """What stays the same from step to step."""
-
-    config: ReplannerConfig
-    chain: KinematicChain
-    points: BodyPoints
-    obstacles: ObstacleCost
-    smoothness: SmoothnessCost
-    checker: MotionChecker
-    weights: FloatArray
-    velocity_limit: FloatArray
-    acceleration_limit: FloatArray
-    pool: ThreadPoolExecutor | None
-
-    def planner(self, occupancy: Occupancy) -> tuple[StompPlanner, HumanOccupancyCost]:
-        """Return the planner for one predicted occupancy, and the person's part of its terms."""
-        stomp = self.config.stomp
-        near = widened(occupancy, self.config.human_margin_m)
-        human = HumanOccupancyCost(self.chain, self.points, near, stomp.human_weight)
-        terms = (self.obstacles, human, self.smoothness)
-        return StompPlanner(terms, self.chain.lower, self.chain.upper, stomp), human
-
-    def person(self, occupancy: Occupancy) -> Person:
-        """Return the person of one predicted occupancy."""
-        return Person(occupancy, self.checker, self.config)
 
 
 @dataclass(frozen=True)

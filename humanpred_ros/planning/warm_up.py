@@ -7,10 +7,10 @@ import numpy as np
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
 from humanpred_ros.planning.reconnection import reconnect
-from humanpred_ros.planning.situation import Tools
 from humanpred_ros.planning.timing.parameterisation import time_parameterise
 from humanpred_ros.planning.timing.path import straight
 from humanpred_ros.planning.timing.stopping import brake_along
+from humanpred_ros.planning.tools import Tools
 
 
 def warm_up(tools: Tools, q: FloatArray, centre_m: FloatArray) -> None:
