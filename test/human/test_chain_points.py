@@ -21,7 +21,7 @@ def postures(human: HumanModel, *shape: int, seed: int = 0) -> np.ndarray:
 
 
 @both
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(count=st.integers(0, 200), seed=st.integers(0, 1000))
 def test_joint_centres_are_those_of_the_model(human: HumanModel, count: int, seed: int) -> None:
     q = postures(human, count, seed=seed)

@@ -86,7 +86,7 @@ def test_recorded_postures_come_back_from_noisy_markers() -> None:
         assert np.median(error, axis=0).max() < 0.08, name
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seed=st.integers(0, 10_000))
 def test_random_postures_come_back_exactly(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -75,7 +75,7 @@ def libraries(draw: st.DrawFn) -> MotionLibrary:
     return MotionLibrary("made up", tuple(motions), provenance)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(library=libraries())
 def test_any_library_reads_back_bit_for_bit(library: MotionLibrary, tmp_path_factory: pytest.TempPathFactory) -> None:
     folder = write_library_bag(library, tmp_path_factory.mktemp("bags") / "bag")

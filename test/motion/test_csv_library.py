@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from paths import shared_data
@@ -133,7 +133,7 @@ def test_folders_that_are_no_library(tmp_path: Path) -> None:
         read_csv_library(tmp_path, frame_period_s=0.0)
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=40)
 @given(data=st.data())
 def test_what_is_written_reads_back_bit_for_bit(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
     numbers = st.floats(-1e6, 1e6, allow_nan=False)

@@ -24,7 +24,7 @@ def path(seed: int, config: HandPathConfig | None = None) -> HandPath:
     return draw_hand_path(START, GOAL, REST, config or HandPathConfig(), np.random.default_rng(seed))
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(0, 2**32 - 1))
 def test_the_hand_rests_reaches_the_goal_and_comes_back(seed: int) -> None:
     drawn = path(seed, replace(HandPathConfig(), tail_of_return=1.0))

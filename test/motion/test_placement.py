@@ -20,7 +20,7 @@ MOTION = small_library(1, 1, 8).motions[0]
 metres = st.floats(-3.0, 3.0)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(yaw=st.floats(-7.0, 7.0), shift=st.tuples(metres, metres, metres), about=st.tuples(metres, metres, metres))
 def test_every_point_of_the_body_moves_with_it(yaw: float, shift: tuple, about: tuple) -> None:
     T = turn_and_shift(yaw, shift, about)

@@ -43,7 +43,7 @@ def test_harmless_differences_do_no_harm(tmp_path: Path, content: str) -> None:
     np.testing.assert_array_equal(read(tmp_path, content), ROWS)
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.integers(2, 6).flatmap(
         lambda n: hnp.arrays(np.float64, (n, 4), elements=st.floats(allow_nan=False, allow_infinity=False))
@@ -101,7 +101,7 @@ def test_folders_and_missing_files_are_refused(tmp_path: Path, make: Callable[[P
         read_table("recording x", path, NAMES)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.one_of(st.binary(max_size=60), st.text(alphabet="t,abc\n\r\"'0.1-e nif\0\ufeff;", max_size=60)))
 def test_no_content_whatever_gives_a_traceback(tmp_path: Path, content: str | bytes) -> None:
     with contextlib.suppress(HumanPredError):

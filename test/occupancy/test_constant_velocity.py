@@ -43,7 +43,7 @@ def test_one_posture_is_where_the_body_is() -> None:
     np.testing.assert_array_equal(shown(predictor(), REST[None]), BODY.mask(REST))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(speed=st.floats(-2.0, 2.0), horizon_s=st.floats(0.05, 0.4))
 def test_goes_on_as_it_moves(speed: float, horizon_s: float) -> None:
     q = moving(ELBOW, speed)

@@ -59,7 +59,7 @@ def squared_error(p: np.ndarray, swept: np.ndarray) -> float:
     return float(((p.astype(np.float64) - swept) ** 2).sum())
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(label=st.integers(0, 2), seed=st.integers(0, 1000), n=st.integers(1, N_FRAMES), futures=st.integers(1, 32))
 def test_the_body_is_where_it_is_and_the_rest_are_probabilities(label: int, seed: int, n: int, futures: int) -> None:
     motion = unseen(label, seed)

@@ -66,7 +66,7 @@ def followed(
     return np.array([(touched[:-1] >> i & 1).astype(bool).reshape(grid.shape) for i in range(len(chosen))])
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     weight=arrays(np.float64, 30, elements=st.one_of(st.just(0.0), st.floats(1e-6, 1.0))).filter(lambda w: w.sum() > 0),
     label=arrays(np.int64, 30, elements=st.integers(0, 4)),
@@ -149,7 +149,7 @@ def test_what_leaves_the_grid_is_cut_off() -> None:
     assert not followed([7], now, VoxelGrid((50.0, 0.0, 0.0), 0.05, (4, 4, 4))).any()
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     bits=arrays(np.uint32, SMALL),
     now=arrays(np.bool_, SMALL),

@@ -51,7 +51,7 @@ def trained() -> TrainedModel:
     return train_model(small_library(3, 4), HUMAN, GmmConfig(n_components=6, max_iterations=20))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     masks=arrays(np.bool_, (3, *SMALL.shape)),
     weights=arrays(np.float64, 3, elements=st.floats(0.0, 1.0)).filter(lambda w: w.sum() > 1e-3),

@@ -59,7 +59,7 @@ def random_posture(seed: int) -> FloatArray:
     return posture
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 10_000), which=st.integers(0, len(PLACEMENTS) - 1))
 def test_equals_plain_arithmetic_bit_for_bit(seed: int, which: int) -> None:
     q, T = random_posture(seed), PLACEMENTS[which]
@@ -72,7 +72,7 @@ def test_also_when_a_link_has_many_points(spacing_m: float) -> None:
     np.testing.assert_array_equal(mask, plain_mask(REST, np.eye(4), spacing_m))
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(q=arrays(np.float64, (3, 12), elements=st.floats(-1e300, 1e300)))
 def test_no_posture_is_too_far_away(q: np.ndarray) -> None:
     voxeliser = BodyVoxeliser(HUMAN, GRID, np.eye(4))

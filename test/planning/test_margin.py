@@ -11,7 +11,7 @@ from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
 from humanpred_ros.planning.margin import widened
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), margin_m=st.sampled_from([0.0, 0.04, 0.05, 0.0708, 0.1, 0.13]))
 def test_each_voxel_is_as_likely_as_the_likeliest_within_the_margin(seed: int, margin_m: float) -> None:
     rng = np.random.default_rng(seed)

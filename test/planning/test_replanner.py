@@ -100,7 +100,7 @@ def test_threads_and_repetition_change_no_bit(selection: str) -> None:
     assert runs[0] != steps(replanner(replace(config, seed=1)), worlds)
 
 
-@settings(deadline=None, max_examples=12)
+@settings(max_examples=12)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_robot_never_jumps_and_keeps_its_limits(seed: int) -> None:
     rng = np.random.default_rng(seed)

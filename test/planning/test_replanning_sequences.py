@@ -60,7 +60,7 @@ def sequence(seed: int, v_limit: NDArray[np.float64], a_limit: NDArray[np.float6
     return robot
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(
     seed=SEEDS, period=st.sampled_from([0.01, 0.02, 0.05]), scale=st.tuples(st.floats(0.4, 2.0), st.floats(0.5, 2.5))
 )
@@ -76,7 +76,7 @@ def test_nothing_jumps_and_limits_hold(seed: int, period: float, scale: tuple[fl
         assert (np.abs(a) <= a_limit * (1.0 + LIMIT_TOLERANCE)).all()
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(seed=SEEDS)
 def test_joints_stay_where_their_paths_are_but_for_what_stopping_takes(seed: int) -> None:
     for begin, end, trajectory in sequence(seed, V, A, 0.02).stretches():
@@ -84,7 +84,7 @@ def test_joints_stay_where_their_paths_are_but_for_what_stopping_takes(seed: int
         assert (np.abs(q) <= BOX + SLACK).all()
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(seed=SEEDS)
 def test_motion_in_between_is_what_velocity_and_acceleration_say(seed: int) -> None:
     """Position is the integral of velocity over the whole run, so no switch hides a step."""
@@ -102,7 +102,7 @@ def test_motion_in_between_is_what_velocity_and_acceleration_say(seed: int) -> N
     np.testing.assert_allclose(moved, q[-1][-1] - q[0][0], atol=2e-4)
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(seed=SEEDS)
 def test_planning_the_old_path_anew_loses_little_time(seed: int) -> None:
     """The path then begins along the present velocity; in the median nothing is lost."""

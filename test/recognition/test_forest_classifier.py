@@ -50,7 +50,7 @@ def answers(classifier: ForestClassifier, motion: Motion) -> np.ndarray:
     return np.array([np.append(p.probability, p.unknown) for p in posteriors])
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 1000), label=st.integers(0, 2), n_frames=st.integers(10, 90))
 def test_posteriors_are_proper_and_unseen_reaches_are_recognised(seed: int, label: int, n_frames: int) -> None:
     motion = unseen(label, seed, n_frames)

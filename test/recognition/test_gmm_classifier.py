@@ -42,7 +42,7 @@ def step_by_step(classifier: GmmClassifier, motion: Motion) -> np.ndarray:
     return np.stack([classifier.update(q, t_s).log_evidence for q, t_s in zip(motion.q, motion.t_s, strict=True)])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     phase_feature=st.booleans(),
     evidence=st.sampled_from(["sum", "mean"]),

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from humanpred_ros.recognition.kmeans import _without_empty, kmeans
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 10_000),
     n_clusters=st.integers(1, 12),

@@ -90,7 +90,7 @@ def test_the_same_model_gives_the_same_bytes(saved: Path, tmp_path: Path) -> Non
     assert (tmp_path / "again.npz").read_bytes() == saved.read_bytes()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(share=st.floats(0.0, 1.0, exclude_max=True))
 def test_a_truncated_file_is_refused(saved: Path, share: float) -> None:
     data = saved.read_bytes()
@@ -100,7 +100,7 @@ def test_a_truncated_file_is_refused(saved: Path, share: float) -> None:
         load_model(cut, HUMAN)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(share=st.floats(0.0, 1.0, exclude_max=True), flip=st.integers(1, 255))
 def test_a_damaged_byte_is_noticed_or_without_effect(saved: Path, share: float, flip: int) -> None:
     data = bytearray(saved.read_bytes())

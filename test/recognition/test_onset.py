@@ -37,7 +37,7 @@ def states(t: np.ndarray, points: np.ndarray, detector: OnsetDetector | None = N
     return [detector.update(x, float(stamp)) for x, stamp in zip(points, t, strict=True)]
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     rate_hz=st.sampled_from([30.0, 60.0, 100.0]),
     reach_s=st.floats(1.0, 3.0),

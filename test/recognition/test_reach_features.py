@@ -81,7 +81,7 @@ def test_one_wild_posture_is_forgiven() -> None:
     assert difference[43:, REACHED].max() < 0.02
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     yaw=st.floats(-np.pi, np.pi),
     shift=st.tuples(*[st.floats(-3.0, 3.0)] * 3),

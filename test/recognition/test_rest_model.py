@@ -24,7 +24,7 @@ def rested(scatter: np.ndarray, *, n: int = 3000, config: RestConfig | None = No
     return model
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 1000), angle=st.floats(0.0, 3.1), turn_rad=st.floats(1e-6, 0.05))
 def test_the_distance_is_mahalanobis_with_floor_and_turn(seed: int, angle: float, turn_rad: float) -> None:
     config = RestConfig(turn_rad=turn_rad)
@@ -64,7 +64,7 @@ def test_the_place_follows_drift() -> None:
     assert np.abs(model.place - x).max() < 0.01
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(parts=st.lists(st.sampled_from([1 / 100, 1 / 60, 1 / 30]), min_size=200, max_size=300))
 def test_time_counts_and_not_frames(parts: list[float]) -> None:
     """A body that lies still somewhere else is followed the same way at any rate."""

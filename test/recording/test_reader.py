@@ -21,7 +21,7 @@ from humanpred_ros.recording.reader import BagMessage, BagReader
 from humanpred_ros.recording.salvage import check_bag, salvage_bag
 from humanpred_ros.recording.writer import BagWriter, StorageOptions
 
-shared_fixture = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60, deadline=None)
+shared_fixture = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
 
 
 def test_topics_counts_times_and_records(small_bag: Path) -> None:

@@ -16,7 +16,7 @@ from humanpred_ros.recording.salvage import check_bag, salvage_bag
 from humanpred_ros.recording.writer import BagWriter, StorageOptions
 
 Content = tuple[bytes, list[BagMessage]]
-shared_fixture = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=15, deadline=None)
+shared_fixture = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=15)
 
 
 def salvaged(data: bytes, folder: Path) -> list[BagMessage]:

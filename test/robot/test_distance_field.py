@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from humanpred_ros.errors import ArrayError
@@ -25,7 +25,6 @@ def exact(points: np.ndarray) -> np.ndarray:
     return np.min([obstacle.shape.distance(points) for obstacle in OBSTACLES], axis=0)
 
 
-@settings(deadline=None)
 @given(SEED)
 def test_interpolated_and_nearest_distance_stay_within_their_bounds(seed: int) -> None:
     points = np.random.default_rng(seed).uniform(LOWER, UPPER, (500, 3))
@@ -62,7 +61,6 @@ def test_inside_is_negative_and_the_region_has_a_border() -> None:
     assert FIELD.values.flags.c_contiguous
 
 
-@settings(deadline=None)
 @given(SEED)
 def test_outside_the_grid_clearance_is_never_overstated(seed: int) -> None:
     points = np.random.default_rng(seed).uniform(-5.0, 5.0, (200, 3))

@@ -39,7 +39,7 @@ def check(q: np.ndarray, target: ToolPose) -> None:
         assert ARM.configuration_distance(q[i], q[:i]).min() >= InverseKinematicsConfig().duplicate_distance
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(CONFIGURATION)
 def test_every_reachable_pose_is_reached_exactly(q: np.ndarray) -> None:
     target = ToolPose.within(ARM.chain.tool_pose(q), 0.0, 0.0)
@@ -49,7 +49,7 @@ def test_every_reachable_pose_is_reached_exactly(q: np.ndarray) -> None:
     check(found.configurations, target)
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(CONFIGURATION, st.integers(0, 2))
 def test_tolerances_are_used_and_kept(q: np.ndarray, free: int) -> None:
     T = ARM.chain.tool_pose(q)

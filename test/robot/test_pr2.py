@@ -75,7 +75,6 @@ def mesh_corners_m(q: np.ndarray, *, moving: bool) -> np.ndarray:
     return np.concatenate(corners)
 
 
-@settings(deadline=None)
 @given(CONFIGURATION)
 def test_chain_agrees_with_pinocchio(q: np.ndarray) -> None:
     model, _, _ = reference()
@@ -99,7 +98,7 @@ def test_chain_carries_the_limits_of_the_urdf() -> None:
     assert ARM.link_names[-1] == "r_wrist_roll_link"
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(CONFIGURATION)
 def test_spheres_cover_the_meshes_wherever_the_arm_is(q: np.ndarray) -> None:
     spheres = ARM.spheres()
@@ -139,7 +138,7 @@ def triangles_m(item: Any, T: np.ndarray) -> np.ndarray:
     return corners[[[shape.tri_indices(f)[k] for k in range(3)] for f in range(shape.num_tris)]]
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(CONFIGURATION)
 def test_body_points_leave_no_gap_on_the_meshes(q: np.ndarray) -> None:
     points = POINTS
@@ -195,7 +194,6 @@ def test_fixed_obstacles_follow_base_torso_and_left_arm() -> None:
     assert np.linalg.norm(centre(waving, "l_forearm_link") - centre(here, "l_forearm_link")) > 0.1
 
 
-@settings(deadline=None)
 @given(CONFIGURATION)
 def test_arm_never_leaves_its_reach(q: np.ndarray) -> None:
     centre, radius = ARM.reach

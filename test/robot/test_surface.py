@@ -43,7 +43,7 @@ def test_split_keeps_area_and_orientation_and_separates(axis: int, at: float, se
     assert (above[:, :, axis] >= at - 1e-9).all()
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.floats(0.1, 0.6), st.integers(0, 10_000))
 def test_spheres_cover_every_point_of_the_surface(largest: float, seed: int) -> None:
     centres, radii = covering_spheres(L_SHAPE, largest)
@@ -60,7 +60,6 @@ def test_one_sphere_around_a_cube_is_nearly_the_smallest() -> None:
     assert radii[0] == pytest.approx(np.sqrt(3.0) / 2.0, rel=0.02)
 
 
-@settings(deadline=None)
 @given(st.floats(1e-4, 0.1), st.integers(0, 10_000))
 def test_boxes_cover_the_inside_of_a_solid(saving: float, seed: int) -> None:
     boxes = covering_boxes(L_SHAPE, saving)
@@ -89,7 +88,7 @@ def test_boxes_follow_a_shape_that_is_mostly_air() -> None:
     assert covered < 0.4 * air
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.floats(0.05, 0.5))
 def test_samples_are_neither_crowded_nor_missing(spacing: float) -> None:
     points = sample(L_SHAPE, spacing)

@@ -25,7 +25,7 @@ def ramp(q_from: float, q_to: float, start_s: float, duration_s: float = 1.0) ->
     return TimedTrajectory(t, q, np.zeros((2, 1)), np.zeros((2, 1)))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(st.floats(0.0, 5.0), st.floats(-1.0, 1.0)), max_size=12), st.integers(0, 1000))
 def test_is_the_planners_schedule(takeovers: list[tuple[float, float]], seed: int) -> None:
     schedule, executed = Schedule(np.zeros(1), 0.0), ExecutedMotion(np.zeros(1))

@@ -34,7 +34,7 @@ def predictions(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray]:
     return p, y
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(predictions())
 def test_agrees_with_scikit_learn(prediction: tuple[np.ndarray, np.ndarray]) -> None:
     p, y = prediction
@@ -47,7 +47,7 @@ def test_agrees_with_scikit_learn(prediction: tuple[np.ndarray, np.ndarray]) -> 
         assert math.isnan(average_precision(p, y))
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(predictions(), st.integers(0, 2**32))
 def test_the_order_of_voxels_does_not_matter(prediction: tuple[np.ndarray, np.ndarray], seed: int) -> None:
     p, y = prediction

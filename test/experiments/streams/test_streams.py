@@ -53,7 +53,7 @@ def reach(t: np.ndarray, start_s: float, duration_s: float) -> np.ndarray:
     return u**3 * (10 - 15 * u + 6 * u**2)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     start_s=st.floats(0.5, 1.5),
     duration_s=st.floats(0.4, 1.5),
@@ -111,7 +111,7 @@ def test_recordings_are_in_the_stream_as_they_are_at_their_own_pace() -> None:
             assert placed.stop_s == pytest.approx(placed.start_s + motion.duration_s)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 1000), there_and_back=st.booleans())
 def test_no_seam_asks_for_what_a_person_could_not_do(seed: int, there_and_back: bool) -> None:
     found = stream(there_and_back, seed)
@@ -125,7 +125,7 @@ def test_no_seam_asks_for_what_a_person_could_not_do(seed: int, there_and_back: 
     assert (np.linalg.norm(np.diff(palm, axis=0), axis=1) / np.diff(found.t_s)).max() < 1.5 * fastest
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 1000), there_and_back=st.booleans())
 def test_what_lies_between_true_onsets_and_ends_is_all_that_moves(seed: int, there_and_back: bool) -> None:
     found = stream(there_and_back, seed)

@@ -47,7 +47,7 @@ def random_occupancy(rng: np.random.Generator, grid: VoxelGrid = WORLD) -> Occup
     return Occupancy(grid, box)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=SEEDS, n_joints=st.integers(1, 9), axes=st.sampled_from([COORDINATE, ANY]), n=st.integers(1, 150))
 def test_human_cost_is_the_oracles(seed: int, n_joints: int, axes: str, n: int) -> None:
     rng = np.random.default_rng(seed)
@@ -62,7 +62,7 @@ def test_human_cost_is_the_oracles(seed: int, n_joints: int, axes: str, n: int) 
     assert (costs <= high + 1e-4).all()
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=SEEDS, n_joints=st.integers(1, 9), axes=st.sampled_from([COORDINATE, ANY]), n=st.integers(2, 150))
 def test_obstacle_cost_is_the_oracles(seed: int, n_joints: int, axes: str, n: int) -> None:
     rng = np.random.default_rng(seed)
@@ -76,7 +76,7 @@ def test_obstacle_cost_is_the_oracles(seed: int, n_joints: int, axes: str, n: in
     np.testing.assert_allclose(nearest, exact_nearest, atol=2e-5)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seed=SEEDS, n_joints=st.integers(1, 23), n=st.integers(5, 120))
 def test_smoothness_is_the_oracles(seed: int, n_joints: int, n: int) -> None:
     q = random_trajectories(np.random.default_rng(seed), n_joints, n=n)
@@ -85,7 +85,7 @@ def test_smoothness_is_the_oracles(seed: int, n_joints: int, n: int) -> None:
     np.testing.assert_allclose(term.costs(q), cost_oracle.acceleration_costs(q).sum(axis=2), rtol=1e-3, atol=1e-7)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seed=SEEDS, margin=st.floats(0.0, 0.3))
 def test_joint_limit_cost_is_the_oracles(seed: int, margin: float) -> None:
     q = random_trajectories(np.random.default_rng(seed), 3)

@@ -25,7 +25,7 @@ def test_noise_is_standard_normal_and_repeatable() -> None:
     assert np.array_equal(noise, iteration_kernels.white_noise(again, 2001, 99))
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=SEEDS, n_rollouts=st.integers(1, 12), n=st.integers(5, 60), n_joints=st.integers(1, 8))
 def test_an_update_is_the_published_weighted_mean(seed: int, n_rollouts: int, n: int, n_joints: int) -> None:
     rng = np.random.default_rng(seed)
@@ -61,7 +61,7 @@ def test_equal_costs_pull_nowhere_in_particular() -> None:
     np.testing.assert_allclose(theta, 0.0, atol=1e-6)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(seed=SEEDS, n=st.integers(5, 100), reach=st.floats(0.05, 3.0))
 def test_limits_are_kept_and_ends_left_alone(seed: int, n: int, reach: float) -> None:
     rng = np.random.default_rng(seed)
@@ -85,7 +85,7 @@ def test_a_smooth_excursion_is_pushed_back_smoothly() -> None:
     assert np.abs(np.diff(x[:, 0], 2)).max() < 0.3 * corner
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=SEEDS, n_rollouts=st.integers(1, 10), data=st.data())
 def test_the_cheapest_rollouts_are_kept_with_their_costs(seed: int, n_rollouts: int, data: st.DataObject) -> None:
     rng = np.random.default_rng(seed)

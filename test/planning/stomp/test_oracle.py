@@ -93,7 +93,7 @@ def assert_same(ours: Plan, exact: OraclePlan, tolerance: float) -> None:
     np.testing.assert_allclose(ours.total, exact.total, rtol=5e-3, atol=1e-3)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=SEEDS, n_joints=DOFS, axes=AXES, iterations=st.integers(1, 4), n=st.integers(5, 40))
 def test_it_is_the_planner_among_obstacles_for_any_arm(
     seed: int, n_joints: int, axes: str, iterations: int, n: int
@@ -147,7 +147,7 @@ class Watched:
         return False
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seed=SEEDS, n_joints=DOFS, axes=AXES, iterations=st.integers(1, 3))
 def test_it_is_the_planner_amid_occupancy_for_any_arm(seed: int, n_joints: int, axes: str, iterations: int) -> None:
     rng = np.random.default_rng(seed)
@@ -169,7 +169,7 @@ def test_it_is_the_planner_amid_occupancy_for_any_arm(seed: int, n_joints: int, 
     assert_same(ours, exact, tolerance)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=SEEDS, n_joints=DOFS, axes=AXES, iterations=st.integers(1, 4))
 def test_it_is_the_planner_with_all_terms_of_the_arm(seed: int, n_joints: int, axes: str, iterations: int) -> None:
     """These three terms run in one compiled loop of their own."""
@@ -209,7 +209,7 @@ def arm_along_x(rng: np.random.Generator, n_joints: int) -> KinematicChain:
     )
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seed=SEEDS, n_joints=DOFS, iterations=st.integers(1, 3))
 def test_points_exactly_on_cell_borders_are_looked_up_in_the_same_voxel(
     seed: int, n_joints: int, iterations: int

@@ -56,7 +56,7 @@ def same(one: Plan, other: Plan) -> bool:
     return np.array_equal(one.waypoints, other.waypoints) and one.cost == other.cost and one.total == other.total
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 2**32 - 1),
     n_joints=st.integers(1, 23),
@@ -196,7 +196,7 @@ def test_noise_can_be_changed_for_one_plan() -> None:
         subject.plan(LINE, np.random.default_rng(0), noise_std=(0.1, 0.1, 0.1))
 
 
-@settings(deadline=None, max_examples=12)
+@settings(max_examples=12)
 @given(seed=st.integers(0, 2**32 - 1), n_reused=st.sampled_from([0, 3]))
 def test_the_compiled_loop_does_what_calling_term_by_term_does(seed: int, n_reused: int) -> None:
     rng = np.random.default_rng(seed)

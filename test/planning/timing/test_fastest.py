@@ -35,7 +35,7 @@ def test_the_reference_is_the_trapezoid_on_a_straight_line() -> None:
         assert fastest_s(path) == pytest.approx(way / peak + peak / A[0], rel=0.01)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seed=SEEDS)
 def test_from_rest_little_is_lost(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -44,7 +44,7 @@ def test_from_rest_little_is_lost(seed: int) -> None:
     assert fastest <= duration <= 1.15 * fastest + SMOOTHING_S + 0.02
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(seed=SEEDS, share=st.floats(0.05, 0.95))
 def test_in_motion_no_more_is_lost_than_by_stopping_first(seed: int, share: float) -> None:
     rng = np.random.default_rng(seed)

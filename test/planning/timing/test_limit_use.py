@@ -15,7 +15,7 @@ from humanpred_ros.planning.timing.trajectory import TimedTrajectory
 SEEDS = st.integers(0, 2**32 - 1)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seed=SEEDS, n=st.integers(1, 8))
 def test_the_use_of_limits_is_that_of_samples(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
@@ -30,7 +30,7 @@ def test_the_use_of_limits_is_that_of_samples(seed: int, n: int) -> None:
     np.testing.assert_allclose(limit_use(trajectory, v_limit, a_limit), wanted, rtol=1e-9, atol=1e-12)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(seed=SEEDS, shortest=st.sampled_from([0.0, 0.1]))
 def test_what_comes_to_rest_does_so_smoothly_within_the_limits(seed: int, shortest: float) -> None:
     rng = np.random.default_rng(seed)

@@ -44,7 +44,7 @@ def largest_use(trajectory: TimedTrajectory) -> tuple[float, float]:
     return float((np.abs(v) / V).max()), float((np.abs(a) / A).max())
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(seed=SEEDS, period=st.sampled_from([0.005, 0.02, 0.05]))
 def test_limits_hold_and_nothing_jumps_over_random_replanning(seed: int, period: float) -> None:
     rng = np.random.default_rng(seed)
@@ -63,7 +63,7 @@ def test_limits_hold_and_nothing_jumps_over_random_replanning(seed: int, period:
         assert use_a <= 1.0 + LIMIT_TOLERANCE
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(seed=SEEDS)
 def test_a_hold_can_come_at_any_time(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -16,7 +16,7 @@ def wander(seed: int, n: int = 30, d: int = 4) -> np.ndarray:
     return np.random.default_rng(seed).normal(0.0, 0.2, (n, d)).cumsum(axis=0)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=SEEDS, n=st.integers(2, 80))
 def test_resampling_spaces_evenly_and_keeps_the_ends(seed: int, n: int) -> None:
     path, weights = wander(seed), np.array([0.5, 0.2, 0.4, 0.1])

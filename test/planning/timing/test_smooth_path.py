@@ -12,7 +12,7 @@ from humanpred_ros.planning.timing.path import straight
 from humanpred_ros.planning.timing.smooth_path import CONTROL_POINTS, NODES, smooth_path
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_position_and_derivatives_are_the_splines(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -18,7 +18,7 @@ def knots(seed: int, n: int = 6, d: int = 3) -> TimedTrajectory:
     return TimedTrajectory(5.0 + rng.uniform(0.05, 0.3, n).cumsum(), q, v, a)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(2, 9))
 def test_knots_are_met_exactly_and_everything_is_continuous(seed: int, n: int) -> None:
     trajectory = knots(seed, n)

@@ -48,7 +48,7 @@ def dense(
     return clearance
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=SEEDS, n_joints=st.integers(1, 7))
 def test_the_first_trouble_is_where_dense_sampling_finds_it(seed: int, n_joints: int) -> None:
     rng = np.random.default_rng(seed)
@@ -79,7 +79,7 @@ def test_the_first_trouble_is_where_dense_sampling_finds_it(seed: int, n_joints:
     )
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=SEEDS, n_joints=st.integers(1, 7))
 def test_a_path_is_checked_between_its_waypoints(seed: int, n_joints: int) -> None:
     rng = np.random.default_rng(seed)
@@ -100,7 +100,7 @@ def test_a_path_is_checked_between_its_waypoints(seed: int, n_joints: int) -> No
     assert checker.nearest_on_path(path).at_least_m <= clearance.min() + 1e-5
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=SEEDS, n_joints=st.integers(1, 7))
 def test_lever_arms_are_never_shorter_than_the_distance_from_the_axis(seed: int, n_joints: int) -> None:
     rng = np.random.default_rng(seed)

@@ -105,7 +105,7 @@ def test_gradients_are_those_of_finite_differences(feature: int, history: bool) 
         )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.booleans(), st.floats(0.3, 5.0))
 def test_gradients_hold_for_any_reach_partner_and_duration(seed: int, history: bool, duration_s: float) -> None:
     """Reaches far from smooth, partners near and far, along a direction that moves all waypoints."""
@@ -128,7 +128,7 @@ def test_gradients_hold_for_any_reach_partner_and_duration(seed: int, history: b
     assert (gradient[0] * direction).sum() == pytest.approx((ahead - behind) / (2.0 * h), rel=1e-5, abs=1e-5 * costs[0])
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.floats(0.2, 5.0))
 def test_features_follow_from_the_way_and_not_from_where_it_happens(seed: int, factor: float) -> None:
     rng = np.random.default_rng(seed)

@@ -68,7 +68,7 @@ def test_so_do_those_of_the_23_dof_human_each_recording_left_out() -> None:
     assert np.median(left_out_errors(reaches, HumanModel.mocap23()), axis=0).max() < 0.06
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.lists(st.floats(-0.15, 0.15), min_size=3, max_size=3))
 def test_the_hand_ends_at_places_near_those_seen(offset: list[float]) -> None:
     seen = [start_and_end(motion.q, HUMAN)[1] for motion in small_library(4)]
@@ -80,7 +80,7 @@ def test_the_hand_ends_at_places_near_those_seen(offset: list[float]) -> None:
     assert (end.mean <= HUMAN.upper).all()
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.floats(-3.0, 3.0), st.floats(-2.0, 2.0), st.floats(-2.0, 2.0))
 def test_where_the_room_is_and_how_it_is_turned_does_not_matter(yaw: float, x: float, y: float) -> None:
     place = HUMAN.forward(start_and_end(small_library(4).motions[0].q, HUMAN)[1])[HAND]

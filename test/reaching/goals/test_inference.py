@@ -58,7 +58,7 @@ def answers(classifier: GoalClassifier | StreamClassifier, motion: Motion) -> Fl
     return np.array([np.append(p.probability, p.unknown) for p in posteriors])
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(st.integers(0, 1000), st.integers(0, 3), st.booleans())
 def test_posteriors_are_proper_and_reaches_are_understood_before_they_end(
     seed: int, label: int, there_and_back: bool
@@ -102,7 +102,7 @@ def test_learning_needs_a_library_and_leaving_out_needs_the_same_one() -> None:
         GoalClassifier(HUMAN).fit(library().select(lambda motion: motion.label == 0))
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(st.floats(-3, 3), st.lists(st.floats(-0.8, 0.8), min_size=3, max_size=3), st.integers(0, 3))
 def test_another_room_changes_nothing(yaw: float, shift: list[float], label: int) -> None:
     T = turn_and_shift(yaw, shift)
@@ -117,7 +117,7 @@ def test_another_room_changes_nothing(yaw: float, shift: list[float], label: int
     np.testing.assert_allclose(there, answers(fresh(), motion), atol=1e-5)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(st.permutations(range(4)), st.integers(0, 3))
 def test_the_order_of_the_goals_does_not_matter(order: list[int], label: int) -> None:
     goals = fitted().goals
@@ -128,7 +128,7 @@ def test_the_order_of_the_goals_does_not_matter(order: list[int], label: int) ->
     assert shuffled.update(motion.q[-1], 100.0).labels == tuple(goals.labels[k] for k in order)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(st.floats(-3, 3), st.integers(0, 3))
 def test_a_goal_far_away_changes_little_once_the_reach_is_under_way(direction: float, label: int) -> None:
     goals = fitted().goals

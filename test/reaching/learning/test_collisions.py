@@ -47,7 +47,7 @@ def hand_path(q: FloatArray) -> FloatArray:
     return MODEL.forward(q)["right_palm"]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1))
 def test_distances_are_those_of_points_along_the_bones(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -112,7 +112,7 @@ def test_samples_that_collide_are_those_whose_bodies_are_in_something(partner: b
     assert 0.05 < got.mean() < 0.95
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 10**6))
 def test_what_was_done_is_never_impossible(seed: int) -> None:
     about = demo(seed)

@@ -62,7 +62,7 @@ def test_gradients_are_those_of_finite_differences(config: PiirlConfig) -> None:
     np.testing.assert_allclose(gradient, numeric, rtol=1e-6, atol=1e-6 * np.abs(gradient).max())
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(CONFIGS))
 def test_gradients_hold_for_any_blocks_and_weights(seed: int, config: PiirlConfig) -> None:
     """Blocks of any lengths, differences of any size and sign, weights at their lower bound and far up."""
@@ -80,7 +80,7 @@ def test_gradients_hold_for_any_blocks_and_weights(seed: int, config: PiirlConfi
     )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(CONFIGS), st.floats(0.0, 1.0))
 def test_losses_lie_below_their_chords_and_above_their_tangents(seed: int, config: PiirlConfig, share: float) -> None:
     rng = np.random.default_rng(seed)

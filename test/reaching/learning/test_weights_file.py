@@ -25,7 +25,7 @@ SOME = ReachWeights(
 finite = st.floats(0.0, allow_nan=False, allow_infinity=False)
 
 
-@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     hnp.arrays(np.float64, N_FEATURES, elements=finite),
     st.integers(0, 5).flatmap(lambda n: hnp.arrays(np.float64, (n, N_FEATURES), elements=st.floats(0.0, 1e6))),
