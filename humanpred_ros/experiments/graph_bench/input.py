@@ -14,6 +14,7 @@ from humanpred_ros.errors import UsageError
 from humanpred_ros.experiments.planner_bench.world import spread_goals
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.motion import Motion, MotionLibrary
+from humanpred_ros.motion.placement import pelvis_columns
 from humanpred_ros.motion.resampling import resample
 from humanpred_ros.resources import share_file
 from humanpred_ros.robot.scene import load_scene
@@ -21,6 +22,8 @@ from humanpred_ros.robot.scene import load_scene
 RATE_HZ = 30.0
 #: Robot, table, start and the corners between which goals are spread are this scene's.
 _SCENE = "four_places"
+#: Where the pelvises of the shipped library's people are there at the start (median), world frame.
+_STAND_M = (-0.08, -1.31, 0.91)
 
 
 def write_scene(path: Path, n_goals: int) -> Path:
@@ -36,8 +39,25 @@ def write_scene(path: Path, n_goals: int) -> Path:
         {"name": f"goal {k + 1}", "configuration_rad": [float(angle) for angle in q]}
         for k, q in enumerate(spread_goals(load_scene(_SCENE), n_goals))
     ]
+    return _write_changed(path, name=f"{_SCENE}_{n_goals}_goals", goals=goals)
+
+
+def write_scene_for(path: Path, library: MotionLibrary) -> Path:
+    """Write the scene with the tracker's frame so placed that a library's people stand where the scene's person does.
+
+    Raises:
+        MotionError: bodies that cannot stand anywhere.
+        HumanPredError: a scene that cannot be used.
+    """
+    columns = list(pelvis_columns(library.dof_names)[:3])
+    pelvis = np.median([motion.q[0, columns] for motion in library], axis=0)
+    offset = np.array(_STAND_M) - pelvis
+    return _write_changed(path, name=f"{_SCENE}_other_person", human={"offset_m": offset.tolist(), "yaw_deg": 0.0})
+
+
+def _write_changed(path: Path, **changes: object) -> Path:
     content = yaml.safe_load(share_file("config", "scenes", f"{_SCENE}.yaml").read_text(encoding="utf-8"))
-    content.update(name=f"{_SCENE}_{n_goals}_goals", goals=goals)
+    content.update(changes)
     path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     load_scene(path)  # checks limits and collisions
     return path

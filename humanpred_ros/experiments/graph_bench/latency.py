@@ -80,6 +80,39 @@ class _Heard(NamedTuple):
     message: Any
 
 
+@dataclass(frozen=True)
+class PostureAnswer:
+    """A posture and the occupancy that answered it.
+
+    Attributes:
+        stamp_ns: of both.
+        sent_ns: when the posture was published.
+        heard_ns: when the recorder received the occupancy; None if there was none.
+    """
+
+    stamp_ns: int
+    sent_ns: int
+    heard_ns: int | None
+
+    @property
+    def delay_s(self) -> float:
+        """From one to the other; NaN without an answer."""
+        return float("nan") if self.heard_ns is None else (self.heard_ns - self.sent_ns) * 1e-9
+
+
+def posture_answers(reader: BagReader) -> tuple[PostureAnswer, ...]:
+    """Return every posture of a run in real time with its answer.
+
+    Raises:
+        BagError: no postures, or a damaged bag.
+    """
+    postures = _heard(reader, topics.posture_topic(reader.topics))
+    if not postures:
+        raise BagError(f"{reader.path}: wanted a run with postures, got none; did the tracker start?")
+    heard_ns = {entry.stamp_ns: entry.heard_ns for entry in _heard(reader, topics.OCCUPANCY)}
+    return tuple(PostureAnswer(entry.stamp_ns, entry.sent_ns, heard_ns.get(entry.stamp_ns)) for entry in postures)
+
+
 def answers_of(bag: Path, period_s: float, planner_started_ns: int) -> Answers:
     """Return the answers recorded in `bag`.
 
@@ -92,16 +125,13 @@ def answers_of(bag: Path, period_s: float, planner_started_ns: int) -> Answers:
         BagError: no postures, or a damaged bag.
     """
     reader = BagReader(bag)
-    postures = _heard(reader, topics.posture_topic(reader.topics))
-    if not postures:
-        raise BagError(f"{bag}: wanted a run with postures, got none; did the tracker start?")
-    published = {entry.stamp_ns: entry.sent_ns for entry in postures}
-    occupancy = _heard(reader, topics.OCCUPANCY)
+    answers = posture_answers(reader)
+    published = {answer.stamp_ns: answer.sent_ns for answer in answers}
     decisions = [(entry, topics.decision_of(entry.message, 0.0, 0.0)) for entry in _heard(reader, topics.DECISION)]
     steps = [(entry, decision) for entry, decision in decisions if decision.is_step]
     trajectories = _heard(reader, topics.TRAJECTORY)
     return Answers(
-        occupancy_s=_delays(occupancy, published),
+        occupancy_s=tuple(answer.delay_s for answer in answers if answer.heard_ns is not None),
         step_s=_delays((entry for entry, _ in steps), published),
         trajectory_s=_delays(_stamped_by_step(trajectories, decisions), published),
         compute_s=tuple(decision.compute_s for _, decision in steps),
@@ -110,7 +140,7 @@ def answers_of(bag: Path, period_s: float, planner_started_ns: int) -> Answers:
         ),
         late=sum(decision.action == "missed" for _, decision in decisions),
         skipped=skipped_steps([entry.stamp_ns * 1e-9 for entry, _ in steps], period_s),
-        unanswered=len(published.keys() - {entry.stamp_ns for entry in occupancy}),
+        unanswered=sum(answer.heard_ns is None for answer in answers),
         ready_s=_ready_s(reader, planner_started_ns),
     )
 

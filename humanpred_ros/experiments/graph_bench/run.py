@@ -14,7 +14,6 @@ from humanpred_ros.experiments.processes import NodeGroup, ParameterValue, free_
 
 _POLL_S = 0.02
 _SETTLE_S = 0.3  # the last messages reach the recorder after the tracker has ended
-_PEERS = ("run_recorder", "simulated_pr2", "occupancy_predictor", "stomp_planner")
 _STARTED = "replay starts"
 #: The first start on a machine compiles the kernels.
 _READY_LIMIT_S, _REST_LIMIT_S = 180.0, 60.0
@@ -79,27 +78,37 @@ def run_graph(setup: GraphSetup, folder: Path, *, alone: bool) -> GraphRun:
         if alone:
             wait_until_resting(group.nodes, group.check, _REST_LIMIT_S)
             ready = usage_of(planner.process.pid)
-        tracker = group.start(
-            "skeleton_tracker_replay",
-            {
-                "library": str(setup.motion),
-                "trajectory": "0",
-                "hold_last_s": 0.0,
-                "wait_for": ",".join(_PEERS),
-                "listener": "occupancy_predictor",
-                "ready_timeout_s": _READY_LIMIT_S,
-            },
-        )
-        meter = UsageMeter(group.nodes)
-        begun = False
-        while tracker.running:
-            group.check()
-            begun = begun or _STARTED in tracker.tail()
-            if begun:
-                meter.note()
-            time.sleep(_POLL_S)
+        usage = replay(group, setup.motion)
+    return GraphRun(folder / "bag", started_ns, ready.cpu_s if ready else None, usage)
+
+
+def replay(group: NodeGroup, motion: Path) -> tuple[NodeUsage, ...]:
+    """Replay the one motion of a bag to the nodes of a group, once they are ready; return what each used meanwhile.
+
+    Raises:
+        UsageError: a node that failed, or did not get ready.
+    """
+    tracker = group.start(
+        "skeleton_tracker_replay",
+        {
+            "library": str(motion.resolve()),
+            "trajectory": "0",
+            "hold_last_s": 0.0,
+            "wait_for": ",".join(node.name for node in group.nodes),
+            "listener": "occupancy_predictor",
+            "ready_timeout_s": _READY_LIMIT_S,
+        },
+    )
+    meter = UsageMeter(group.nodes)
+    begun = False
+    while tracker.running:
         group.check()
-        if not begun and _STARTED not in tracker.tail():
-            raise UsageError(f"bench graph: wanted the tracker to start, its log says:\n{tracker.tail()}")
-        time.sleep(_SETTLE_S)
-    return GraphRun(folder / "bag", started_ns, ready.cpu_s if ready else None, meter.result())
+        begun = begun or _STARTED in tracker.tail()
+        if begun:
+            meter.note()
+        time.sleep(_POLL_S)
+    group.check()
+    if not begun and _STARTED not in tracker.tail():
+        raise UsageError(f"bench: wanted the tracker to start, its log says:\n{tracker.tail()}")
+    time.sleep(_SETTLE_S)
+    return meter.result()

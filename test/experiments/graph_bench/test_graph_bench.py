@@ -8,6 +8,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +21,22 @@ from humanpred_ros.errors import BagError, GoalUnreachableError, UsageError
 from humanpred_ros.experiments.graph_bench import command as graph_bench_command
 from humanpred_ros.experiments.graph_bench import input as graph_bench_input
 from humanpred_ros.experiments.graph_bench.bench import GraphCase, summarised
-from humanpred_ros.experiments.graph_bench.input import back_and_forth, write_scene
-from humanpred_ros.experiments.graph_bench.latency import Answers, Delays, answers_of, skipped_steps
+from humanpred_ros.experiments.graph_bench.input import back_and_forth, write_scene, write_scene_for
+from humanpred_ros.experiments.graph_bench.latency import (
+    Answers,
+    Delays,
+    answers_of,
+    posture_answers,
+    skipped_steps,
+)
 from humanpred_ros.experiments.graph_bench.run import GraphRun
 from humanpred_ros.experiments.graph_bench.usage import NodeUsage, UsageMeter, usage_of, wait_until_resting
 from humanpred_ros.experiments.processes import NodeProcess
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion
+from humanpred_ros.motion.placement import placed, turn_and_shift
 from humanpred_ros.recording import messages as ros
+from humanpred_ros.recording.reader import BagReader
 from humanpred_ros.recording.writer import BagWriter
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import Scene, load_scene
@@ -103,6 +112,14 @@ def test_delays_are_read_from_publication_to_receipt(tmp_path: Path) -> None:
     assert answers.ready_s == pytest.approx(2.0)
 
 
+def test_every_posture_has_its_occupancy_or_none(tmp_path: Path) -> None:
+    *answered, last = posture_answers(BagReader(write_run(tmp_path)))
+    assert [answer.delay_s for answer in answered] == pytest.approx([0.006] * 11)
+    assert np.diff([answer.sent_ns for answer in answered]).tolist() == [POSTURE_MS * MS] * 10
+    assert last.heard_ns is None
+    assert np.isnan(last.delay_s)
+
+
 def test_plans_that_came_too_late_are_counted(tmp_path: Path) -> None:
     assert answers_of(write_run(tmp_path, missed_at=6), PERIOD_MS * 1e-3, STARTED_NS).late == 1
 
@@ -149,6 +166,18 @@ def test_a_scene_gets_as_many_reachable_goals_as_asked(tmp_path: Path, n_goals: 
     distance = [np.abs(a - b).max() for k, a in enumerate(configurations) for b in configurations[:k]]
     assert min(distance, default=1.0) > 0.05
     scene.check_free()
+
+
+def test_people_of_any_library_stand_where_the_scenes_person_does(tmp_path: Path) -> None:
+    shipped = load_library(locate("synthetic_reaches", "bags"))
+    original = load_scene("four_places")
+    scene = load_scene(write_scene_for(tmp_path / "scene.yaml", shipped))
+    np.testing.assert_allclose(scene.T_world_human, original.T_world_human, atol=0.01)
+    assert scene.grid == original.grid
+    aside = turn_and_shift(0.0, (3.0, -2.0, 0.5))
+    moved = replace(shipped, motions=tuple(placed(motion, aside) for motion in shipped.motions[:50]))
+    there = load_scene(write_scene_for(tmp_path / "there.yaml", moved)).T_world_human @ aside
+    np.testing.assert_allclose(there, original.T_world_human, atol=0.05)
 
 
 def test_a_goal_in_collision_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
