@@ -22,6 +22,8 @@ _PERIOD_S = (0.0005, 0.2)
 _BONE_M = (0.05, 1.0)
 #: A hand that goes less than this does not reach.
 _LEAST_WAY_M = 0.05
+#: A hand that ends nearer to where it began than this share of the farthest it was has come back.
+_BACK_SHARE = 0.25
 
 
 def check_units(where: str, t_s: FloatArray, q: FloatArray, dof_names: Sequence[str]) -> None:
@@ -71,7 +73,7 @@ def check_two_people(where: str, active: Motion, passive: Motion) -> None:
 
 def doubts(active: Motion, passive: Motion, model: HumanModel, hand: str = "right_palm") -> list[str]:
     """Return sentences on what makes one doubt who reaches, or whether anybody does."""
-    mine, theirs = (_way_m(motion, model, hand) for motion in (active, passive))
+    (mine, end_m), (theirs, _) = (_way_m(motion, model, hand) for motion in (active, passive))
     if theirs > max(mine, _LEAST_WAY_M):
         return [
             f"the partner's hand goes farther ({theirs:.2f} m) than that of who reaches ({mine:.2f} m); check that the "
@@ -79,13 +81,19 @@ def doubts(active: Motion, passive: Motion, model: HumanModel, hand: str = "righ
         ]
     if mine < _LEAST_WAY_M:
         return [f"the hand of who reaches goes only {mine:.2f} m; check that this is a reach"]
+    if end_m < _BACK_SHARE * mine:
+        return [
+            f"the hand ends {end_m:.2f} m from where it began, after {mine:.2f} m: a reach and the way back? cut it at "
+            "the turn"
+        ]
     return []
 
 
-def _way_m(motion: Motion, model: HumanModel, hand: str) -> float:
-    """Return how far the hand is from where it began, but for the tenth of the frames where it is farthest.
+def _way_m(motion: Motion, model: HumanModel, hand: str) -> tuple[float, float]:
+    """Return how far the hand is from where it began: at the farthest, and in the end.
 
-    A lost marker throws the hand about for a frame or two.
+    But for the tenth of the frames where it is farthest: a lost marker throws the hand about for a frame or two.
     """
     place = model.forward(motion.q)[hand]
-    return float(np.quantile(np.linalg.norm(place - place[0], axis=1), 0.9))
+    far = np.linalg.norm(place - place[0], axis=1)
+    return float(np.quantile(far, 0.9)), float(far[-1])

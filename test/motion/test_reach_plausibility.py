@@ -68,6 +68,15 @@ def test_the_reaching_hand_is_the_one_that_goes_farther() -> None:
     assert "check that this is a reach" in doubts(still, still, MODEL)[0]
 
 
+def test_a_reach_and_the_way_back_are_not_one_reach() -> None:
+    there, partner = ACTIVE, motion(PASSIVE)
+    both = motion(np.concatenate([there[::2], there[::-2]]))
+    assert "cut it at the turn" in doubts(both, partner, MODEL)[0]
+    # Pulling the hand back a little belongs to many reaches.
+    back_a_little = motion(np.concatenate([there[20:], there[-1:-21:-1]]))
+    assert doubts(back_a_little, partner, MODEL) == []
+
+
 def test_a_lost_marker_of_the_partner_does_not_look_like_a_reach() -> None:
     thrown = PASSIVE.copy()
     thrown[40:45, 0] += 3.0

@@ -22,7 +22,7 @@ from scipy.optimize import minimize
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import MotionError, UsageError
-from humanpred_ros.reaching.costs.features import N_FEATURES, ReachFeatures
+from humanpred_ros.reaching.costs.features import FEATURE_NAMES, N_FEATURES, ReachFeatures
 from humanpred_ros.reaching.learning import loss_kernels
 from humanpred_ros.reaching.learning.collisions import ReachCollisions, Touch
 from humanpred_ros.reaching.learning.sampling import SamplingConfig, sample_around
@@ -46,9 +46,10 @@ class PiirlConfig:
             penalties mean the same for all; the weights returned are for the features as they are.
         upper: bound of the weights, of normalised features if so (P2's code: 300).
         l1, l2: penalties l1 sum(w) and l2 sum(w^2) / 2 for each demonstration (P2's code: none).
+        without: names of features that play no part: their weights are 0.
 
     Raises:
-        UsageError: an unknown loss, or numbers that cannot be.
+        UsageError: an unknown loss or feature, or numbers that cannot be.
     """
 
     loss: str = "paper"
@@ -57,6 +58,7 @@ class PiirlConfig:
     upper: float = 300.0
     l1: float = 0.0
     l2: float = 0.0
+    without: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.loss not in LOSSES:
@@ -66,6 +68,8 @@ class PiirlConfig:
             raise UsageError(
                 f"learning: wanted a finite upper > 0 and penalties >= 0, got {self.upper}, {self.l1}, {self.l2}"
             )
+        if unknown := sorted(set(self.without) - set(FEATURE_NAMES)):
+            raise UsageError(f"learning: wanted names of features to leave out, got {', '.join(unknown)}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,19 +164,20 @@ def learn_weights(
     loss = _Loss([contrast.differences / unit for contrast in found], config)
     # The solver sees weights times the spread of their feature: one step then means the same for all of them.
     scale = deviation / unit
+    upper = np.where(np.isin(FEATURE_NAMES, config.without), 0.0, config.upper)
     # Beyond some 1e3 spreads a feature decides alone; a start there would leave the solver on a flat stretch.
     at = 1.0 / scale if start is None else start * unit
     solved = minimize(
         lambda x: loss.scaled(x, scale),
-        np.clip(at * scale, 0.0, config.upper * scale),
+        np.clip(at * scale, 0.0, upper * scale),
         jac=True,
         method="L-BFGS-B",
-        bounds=[(0.0, config.upper * s) for s in scale],
+        bounds=[(0.0, most) for most in upper * scale],
         options={"maxiter": 3000, "maxfun": 6000, "ftol": 1e-12, "gtol": 1e-8, "maxcor": 30},
     )
     if not np.isfinite(solved.fun):
         raise MotionError(f"learning: wanted a finite loss, the solver ended with {solved.fun} ({solved.message})")
-    w = np.clip(solved.x / scale, 0.0, config.upper)
+    w = np.clip(solved.x / scale, 0.0, upper)
     return PiirlSolution(w / unit, float(solved.fun), w >= config.upper * (1.0 - _AT_BOUND), int(solved.nit))
 
 

@@ -19,6 +19,8 @@ from humanpred_ros.reaching.prediction.task import ReachTask
 
 #: Phases at which time profiles are compared and averaged.
 _N_PHASES = 100
+#: A motion that ends nearer to where it began than this share of the farthest it was is no reach, but there and back.
+_LEAST_WAY_SHARE = 0.25
 
 
 @dataclass(frozen=True)
@@ -77,11 +79,21 @@ def time_profile(motion: Motion) -> FloatArray:
 def mean_profile(recordings: Sequence[ReachRecording]) -> TimedLine:
     """Return the predictor with the mean time profile of recorded reaches (leave the tested one out).
 
+    Recordings of people who came back to where they began have no profile; without any other it is minimum jerk.
+
     Raises:
         MotionError: no recordings.
     """
     if not recordings:
         raise MotionError("time profile: wanted at least one recording to learn from, got none")
-    mean = np.mean([time_profile(recording.active) for recording in recordings], axis=0)
+    profiles = [time_profile(recording.active) for recording in recordings if _gets_somewhere(recording.active)]
+    if not profiles:
+        return TimedLine(minimum_jerk)
+    mean = np.mean(profiles, axis=0)
     phases = np.linspace(0.0, 1.0, _N_PHASES)
     return TimedLine(lambda phase: np.interp(phase, phases, mean))
+
+
+def _gets_somewhere(motion: Motion) -> bool:
+    way = np.linalg.norm(motion.q - motion.q[0], axis=1)
+    return bool(way[-1] > _LEAST_WAY_SHARE * way.max())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +13,13 @@ from scipy.optimize import minimize
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import MotionError, UsageError
-from humanpred_ros.reaching.costs.features import N_FEATURES, FeatureConfig, ReachFeatures
+from humanpred_ros.reaching.costs.features import (
+    DISTANCE_NAMES,
+    FEATURE_NAMES,
+    N_FEATURES,
+    FeatureConfig,
+    ReachFeatures,
+)
 from humanpred_ros.reaching.learning.piirl import (
     LOSSES,
     Contrast,
@@ -180,6 +188,18 @@ def test_penalties_make_weights_smaller() -> None:
     assert (sums[1] * spread).sum() < 0.5 * (sums[0] * spread).sum()
 
 
+def test_features_that_play_no_part_have_no_weight_and_change_no_other() -> None:
+    found = made_up()
+    config = PiirlConfig(with_demonstration=True, normalised=True, l2=0.1)
+    learned = learn_weights(found, replace(config, without=DISTANCE_NAMES))
+    gone = np.isin(FEATURE_NAMES, DISTANCE_NAMES)
+    assert (learned.weights[gone] == 0.0).all()
+    assert not learned.at_upper[gone].any()
+    blank = [replace(contrast, differences=np.where(gone, 0.0, contrast.differences)) for contrast in found]
+    np.testing.assert_allclose(learned.weights[~gone], learn_weights(blank, config).weights[~gone], rtol=1e-4)
+    assert learned.weights[~gone].max() > 0.0
+
+
 def test_weights_behind_noisy_choices_are_found_again() -> None:
     """Who chooses with probability exp(-w . phi) among candidates has these w, to the accuracy of 400 choices."""
     rng = np.random.default_rng(8)
@@ -234,7 +254,9 @@ def test_nothing_to_learn_from_is_refused() -> None:
         learn_weights([])
 
 
-@pytest.mark.parametrize("bad", [{"loss": "hinge"}, {"upper": 0.0}, {"upper": np.inf}, {"l2": -1.0}, {"l1": np.nan}])
+@pytest.mark.parametrize(
+    "bad", [{"loss": "hinge"}, {"upper": 0.0}, {"upper": np.inf}, {"l2": -1.0}, {"l1": np.nan}, {"without": ("nose",)}]
+)
 def test_impossible_settings_are_refused(bad: dict[str, object]) -> None:
     with pytest.raises(UsageError, match="learning"):
         PiirlConfig(**bad)  # type: ignore[arg-type]

@@ -112,3 +112,18 @@ def test_profiles_need_reaches() -> None:
     entry = recording(1)
     with pytest.raises(MotionError, match="ends in the posture it began with"):
         time_profile(entry.active.with_postures(np.repeat(entry.active.q[:1], len(entry.active), axis=0)))
+
+
+def test_people_who_come_back_have_no_say_in_the_time_profile() -> None:
+    there = [recording(seed) for seed in range(3)]
+    q = there[0].active.q
+    for off in (0.0, 0.002):
+        back = np.concatenate([q[::2], q[::-2]])
+        back[-1] = q[0] + off
+        motion = Motion(there[0].active.t_s, back, MODEL.dof_names, frame_id="mocap")
+        again = ReachRecording("again", motion, there[0].passive)
+        phases = np.linspace(0.0, 1.0, 30)
+        np.testing.assert_array_equal(
+            mean_profile([*there, again]).profile(phases), mean_profile(there).profile(phases)
+        )
+        np.testing.assert_array_equal(mean_profile([again]).profile(phases), minimum_jerk(phases))
