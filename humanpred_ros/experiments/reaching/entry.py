@@ -9,6 +9,7 @@ from humanpred_ros.errors import UsageError
 from humanpred_ros.experiments.reaching.learned import WeightTable
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
+from humanpred_ros.reaching.costs.reach_scene import ReachScene
 from humanpred_ros.reaching.prediction.task import ReachPredictor
 
 #: Gives the predictor for a recording, by name; it knows all recordings to learn from but that one.
@@ -30,11 +31,13 @@ class ReachingMaterial:
         recordings: to learn from.
         model: the human.
         weights: learned from them, by the names of `LEARNING`.
+        scene: what stands where they were recorded.
     """
 
     recordings: Sequence[ReachRecording]
     model: HumanModel
     weights: Mapping[str, WeightTable] = field(default_factory=dict)
+    scene: ReachScene = field(default_factory=ReachScene.of_p2)
 
     def without(self, name: str) -> list[ReachRecording]:
         """Return all recordings but one; all of them if none has that name."""

@@ -11,6 +11,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 
+import numpy as np
+
 from humanpred_ros.errors import UsageError
 from humanpred_ros.experiments.evaluation_files import machine_facts
 from humanpred_ros.experiments.parallel import map_processes
@@ -28,6 +30,7 @@ from humanpred_ros.experiments.reaching.reference import (
     PublishedRow,
 )
 from humanpred_ros.experiments.reaching.runs import (
+    WRIST,
     RecordingOutcome,
     RecordingRuns,
     RecordingTask,
@@ -40,6 +43,7 @@ from humanpred_ros.experiments.reaching.timing import prediction_times
 from humanpred_ros.experiments.reaching.weights import weight_figures
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
+from humanpred_ros.reaching.costs.reach_scene import ReachScene
 
 
 @dataclass(frozen=True)
@@ -117,8 +121,10 @@ def evaluate_reaching(
         raise UsageError(f"interference case: wanted recordings not learned from, got {', '.join(twice)} again")
     model = model or HumanModel.mocap23()
     ordered = sorted(recordings, key=_papers_order)
-    learned = _learned(ordered, model, config)
-    material = ReachingMaterial(ordered, model, {how: entry.table for how, entry in learned.items()})
+    hands_m = [model.forward(recording.active.q)[WRIST] for recording in ordered]
+    scene = ReachScene.around_hands(np.concatenate(hands_m))
+    learned = _learned(ordered, model, config, scene)
+    material = ReachingMaterial(ordered, model, {how: entry.table for how, entry in learned.items()}, scene)
     times = prediction_times(config.predictors, ordered, material)
 
     tasks = list(tasks_of(ordered, interference, config))
@@ -156,7 +162,12 @@ def evaluate_reaching(
     weights = weight_figures(learned, ordered, model, config.seed) if learned else None
     elapsed_s = time.perf_counter() - begin
     return ReachingEvaluation(
-        settings={"config": asdict(config), "human": model.name, "human_signature": model.signature},
+        settings={
+            "config": asdict(config),
+            "human": model.name,
+            "human_signature": model.signature,
+            "obstacles": [obstacle.name for obstacle in scene.obstacles],
+        },
         machine=machine_facts(),
         sets=tuple(sets),
         table1={recording.name: TABLE1[recording.name] for recording in ordered if recording.name in TABLE1},
@@ -188,10 +199,10 @@ def steps_of(
 
 
 def _learned(
-    recordings: Sequence[ReachRecording], model: HumanModel, config: ReachingConfig
+    recordings: Sequence[ReachRecording], model: HumanModel, config: ReachingConfig, scene: ReachScene
 ) -> dict[str, LearnedWeights]:
     wanted = dict.fromkeys(reaching_entry(name).learns for name in config.predictors)
-    return {how: learn_all(recordings, model, how, config.seed) for how in wanted if how is not None}
+    return {how: learn_all(recordings, model, how, config.seed, scene) for how in wanted if how is not None}
 
 
 def _spread_out(

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from types import MappingProxyType
 
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
 from humanpred_ros.reaching.costs.features import DISTANCE_NAMES
+from humanpred_ros.reaching.costs.reach_scene import ReachScene
 from humanpred_ros.reaching.learning.learner import LearningConfig, ReachLearner, ReachWeights
 from humanpred_ros.reaching.learning.piirl import PiirlConfig
+
+_log = logging.getLogger(__name__)
 
 PUBLISHED, ALONE, IMPROVED = "published", "alone", "improved"
 _AS_PUBLISHED = LearningConfig(keep_unfit=True)
@@ -69,26 +74,41 @@ class LearnedWeights:
     processor_s: float
 
 
-def learn_all(recordings: Sequence[ReachRecording], model: HumanModel, how: str, seed: int) -> LearnedWeights:
+def learn_all(
+    recordings: Sequence[ReachRecording], model: HumanModel, how: str, seed: int, scene: ReachScene | None = None
+) -> LearnedWeights:
     """Learn from all, from all but each and, for `ALONE`, from each.
+
+    Recordings with jumps are learned from after all where there are no others, with a warning.
 
     Args:
         recordings: at least two.
         model: the human.
         how: one of `LEARNING`.
         seed: of samples and bootstrap.
+        scene: what stands there; P2's table if None.
 
     Raises:
         MotionError: too little to learn from.
     """
     begin, processor_begin = time.perf_counter(), time.process_time()
-    learner = ReachLearner(recordings, model, replace(LEARNING[how], seed=seed))
+    config = replace(LEARNING[how], seed=seed)
+    learner = ReachLearner(recordings, model, config, scene)
+    if not learner.names:
+        learner = ReachLearner(recordings, model, replace(config, keep_unfit=True), scene)
     everything = learner.learn()
     learn_s, processor_s = time.perf_counter() - begin, time.process_time() - processor_begin
     names = [recording.name for recording in recordings]
 
+    @lru_cache(maxsize=1)
+    def less_strict() -> ReachLearner:
+        return ReachLearner(recordings, model, replace(config, keep_unfit=True), scene)
+
     def learned(some: Sequence[str]) -> FloatArray:
-        return learner.learn(some, bootstrap=False).weights
+        if set(some) & set(learner.names):
+            return learner.learn(some, bootstrap=False).weights
+        _log.warning("%s: nothing else to learn from; learned from all the same", ", ".join(some))
+        return less_strict().learn(some, bootstrap=False).weights
 
     table = WeightTable(
         everything.weights,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
 from humanpred_ros.experiments.reaching.entry import BETTER, REPRODUCED, ReachingEntry, ReachingMaterial, Without
 from humanpred_ros.experiments.reaching.learned import ALONE, IMPROVED, PUBLISHED
 from humanpred_ros.reaching.costs.named_weights import named_weights
 from humanpred_ros.reaching.prediction.planned_predictors import improved_predictor, planned_predictor
+from humanpred_ros.reaching.prediction.posture_bounds import BoundsConfig
 from humanpred_ros.reaching.prediction.task import ReachPredictor
 
 #: The predictor that is used where nobody asks for another.
@@ -45,12 +47,23 @@ def planned_entries() -> Iterator[tuple[str, ReachingEntry]]:
                     description + how, _named(name, replanned), REPRODUCED, by_chance=True, replanned=replanned
                 ),
             )
+    near = partial(planned_predictor, bounds=BoundsConfig(relative=True))
+    for replanned in (False, True):
+        tail, how = ("_replanned", ", re-planned every 0.1 s") if replanned else ("", "")
+        yield (
+            "learned_near" + tail,
+            ReachingEntry(
+                "as learned, but bounded by how far a reach moves people, not by where they stood" + how,
+                _learned(near, PUBLISHED, replanned),
+                BETTER, by_chance=True, replanned=replanned, learns=PUBLISHED,
+            ),
+        )  # fmt: skip
     for replanned in (False, True):
         tail, how = ("_replanned", ", re-planned every 0.1 s") if replanned else ("", "; the default")
         yield (
             "improved" + tail,
             ReachingEntry(
-                "learned cost of normalised features, better first guess and noise" + how,
+                "learned cost of smoothness, better first guess, noise and bounds" + how,
                 _learned(improved_predictor, IMPROVED, replanned),
                 BETTER, by_chance=True, replanned=replanned, learns=IMPROVED,
             ),
@@ -59,14 +72,14 @@ def planned_entries() -> Iterator[tuple[str, ReachingEntry]]:
 
 def _own(material: ReachingMaterial) -> Without:
     weights = material.learned(ALONE).alone
-    return lambda tested: planned_predictor(material.recordings, material.model, weights[tested])
+    return lambda tested: planned_predictor(material.recordings, material.model, weights[tested], scene=material.scene)
 
 
 def _named(name: str, replanned: bool) -> Callable[[ReachingMaterial], Without]:
     def prepare(material: ReachingMaterial) -> Without:
         weights = named_weights(name)
         return lambda left_out: planned_predictor(
-            material.without(left_out), material.model, weights, replanned=replanned
+            material.without(left_out), material.model, weights, replanned=replanned, scene=material.scene
         )
 
     return prepare
@@ -76,7 +89,8 @@ def _learned(build: Callable[..., ReachPredictor], how: str, replanned: bool) ->
     def prepare(material: ReachingMaterial) -> Without:
         learned = material.learned(how)
         return lambda left_out: build(
-            material.without(left_out), material.model, learned.without(left_out), replanned=replanned
-        )
+            material.without(left_out), material.model, learned.without(left_out), replanned=replanned,
+            scene=material.scene,
+        )  # fmt: skip
 
     return prepare

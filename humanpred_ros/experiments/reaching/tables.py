@@ -28,6 +28,8 @@ def print_reaching(evaluation: ReachingEvaluation, console: Console) -> None:
         "Distances by time warping, metres summed over frames (P2: 100 Hz). joint: centres of pelvis, torso, shoulder, "
         "elbow, wrist; task: palm and its orientation; as coded: with the sign error of P2's code, to compare with P2.",
     )
+    if not evaluation.settings["obstacles"]:
+        line(console, "No hand comes near P2's table: learned and planned with nothing but the partner in the way.")
     if evaluation.weights is not None:
         print_weights(evaluation.weights, console)
     _print_own(evaluation, console)

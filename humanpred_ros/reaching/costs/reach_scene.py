@@ -96,6 +96,21 @@ class ReachScene:
         return cls(moved, (centre - half).min(axis=0) - _AROUND_M, (centre + half).max(axis=0) + _AROUND_M)
 
     @classmethod
+    def around_hands(cls, hands_m: ArrayLike) -> ReachScene:
+        """Return the table of P2's recordings if hands (M, 3) come into its region, else where they go without a table.
+
+        Raises:
+            SceneError: no hands, or places that are not finite.
+        """
+        hands = checked("reach scene: hands", hands_m, ("M", 3), error=SceneError)
+        if not len(hands):
+            raise SceneError("reach scene: wanted places of hands, got none")
+        lower, upper = np.array(_REGION_M)
+        if ((hands > lower) & (hands < upper)).all(axis=1).any():
+            return cls.of_p2()
+        return cls((), hands.min(axis=0) - _AROUND_M, hands.max(axis=0) + _AROUND_M)
+
+    @classmethod
     def empty(cls) -> ReachScene:
         """Return the region of P2's recordings without a table."""
         return cls((), np.array(_REGION_M[0]), np.array(_REGION_M[1]))

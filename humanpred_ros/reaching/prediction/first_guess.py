@@ -66,7 +66,8 @@ class ShortShoulder:
 
     def __call__(self, start: FloatArray, goal: FloatArray, phase: FloatArray) -> FloatArray:
         """Return the reach (n, J) from start (J,) to goal (J,) at phases (n,)."""
-        done = minimum_jerk(phase)
+        # By rounding the profile may exceed 1 just before the end, which interpolation refuses.
+        done = np.clip(minimum_jerk(phase), 0.0, 1.0)
         reach = straight_line(start, goal, done)
         first, last = start[self._columns], goal[self._columns]
         ends = Rotation.from_euler(self._sequence, np.stack([first, last]) * self._sign)

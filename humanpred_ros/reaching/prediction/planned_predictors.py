@@ -13,7 +13,7 @@ from humanpred_ros.motion.reach_recordings import ReachRecording
 from humanpred_ros.reaching.costs.reach_scene import ReachScene
 from humanpred_ros.reaching.prediction.first_guess import ShortShoulder
 from humanpred_ros.reaching.prediction.planner import ReachPlanner, ReachPlannerConfig, SingleShot, unit_deviation
-from humanpred_ros.reaching.prediction.posture_bounds import PostureBounds
+from humanpred_ros.reaching.prediction.posture_bounds import BoundsConfig, PostureBounds
 from humanpred_ros.reaching.prediction.replanning import Replanned
 from humanpred_ros.reaching.prediction.task import ReachPredictor
 from humanpred_ros.reaching.prediction.variation import posture_variation
@@ -26,8 +26,9 @@ _LEAST_NOISE = 1e-6
 class ImprovedConfig:
     """What the better predictor does otherwise than P2; chosen on P2's seven recordings, each left out in turn.
 
-    It begins with a `ShortShoulder` instead of the straight line, and stays nearer to it. No number has to be exact:
-    half or double of each changes the distance in joint centres by at most 6 %, in task space by at most 10 %.
+    It begins with a `ShortShoulder` instead of the straight line, and stays nearer to it. Its bounds go with the
+    reach: planned again and again, the trunk would drift to where others stood. No number has to be exact: half or
+    double of each changes the distance in joint centres by at most 6 %, in task space by at most 10 %.
 
     Attributes:
         variation_share: noise of a DoF in the middle of a reach, as a share of how much people vary it.
@@ -51,6 +52,7 @@ def planned_predictor(
     replanned: bool = False,
     scene: ReachScene | None = None,
     config: ReachPlannerConfig | None = None,
+    bounds: BoundsConfig | None = None,
 ) -> ReachPredictor:
     """Return P2's predictor with given weights (24,).
 
@@ -61,12 +63,13 @@ def planned_predictor(
         replanned: plan again every 0.1 s instead of once.
         scene: table and region; P2's if None.
         config: of the planning.
+        bounds: how the recordings bound postures; P2's way if None.
 
     Raises:
         PlanningError: weights that cannot be.
         MotionError: no recordings.
     """
-    planner = ReachPlanner(model, weights, PostureBounds.from_recordings(recordings, model), scene, config)
+    planner = ReachPlanner(model, weights, PostureBounds.from_recordings(recordings, model, bounds), scene, config)
     return Replanned(planner) if replanned else SingleShot(planner)
 
 
@@ -104,5 +107,5 @@ def improved_planner(
         obstacle_weight=improved.obstacle_weight,
         averaged=improved.averaged,
     )
-    bounds = PostureBounds.from_recordings(recordings, model)
+    bounds = PostureBounds.from_recordings(recordings, model, BoundsConfig(relative=True))
     return ReachPlanner(model, weights, bounds, scene, settings, ShortShoulder(model))

@@ -1,4 +1,10 @@
-"""How far each DoF of a predicted reach may go: as far as demonstrations did and a little farther (facts section 3)."""
+"""How far each DoF of a predicted reach may go: as far as demonstrations did and a little farther (facts section 3).
+
+P2 takes that as places in the room. People stand elsewhere from reach to reach, so such bounds say where they stood
+rather than how far a reach moves them: P2's seven people stay within 0.01 m of the way from their first to their last
+place and stood 0.2 m apart, and that room is where a planner lets the trunk drift to. Bounds relative to the ends of
+the reach say how far it moves them, wherever they stand.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +29,7 @@ class BoundsConfig:
         rotation_rad: of all other rotations; None leaves them free, as P2 does.
         out_of_reach: a goal that is so far beyond its bounds, in metres or radians, is one that nobody reaches from
             where demonstrations happened; people on both sides of P2's table differ by up to 0.9 m and 1.8 rad.
+        relative: bound how far a reach leaves the way between its two ends instead of where it is (not in P2).
 
     Raises:
         UsageError: margins that are not positive.
@@ -32,6 +39,7 @@ class BoundsConfig:
     pelvis_rad: float = 0.05
     rotation_rad: float | None = None
     out_of_reach: float = 2.0
+    relative: bool = False
 
     def __post_init__(self) -> None:
         margins = [self.translation_m, self.pelvis_rad, self.out_of_reach]
@@ -49,6 +57,8 @@ class PostureBounds:
         free: (J,) rotations without bounds; theirs are half a turn to each side of the reach.
         dof_names: J names, for messages; none if left out.
         out_of_reach: how far beyond its bounds a goal is not believed, in metres or radians.
+        beyond: (2, J) how far a reach may go below the lower and above the upper of its two ends, whatever `lower` and
+            `upper` say, which then only tell whether a goal is to be believed; None to bound by them.
 
     Raises:
         MotionError: arrays that do not fit each other.
@@ -59,6 +69,7 @@ class PostureBounds:
     free: np.ndarray[tuple[int], np.dtype[np.bool_]]
     dof_names: tuple[str, ...] = ()
     out_of_reach: float = BoundsConfig.out_of_reach
+    beyond: FloatArray | None = None
 
     def __post_init__(self) -> None:
         lower = checked("lower bounds", self.lower, ("J",), error=MotionError)
@@ -68,6 +79,11 @@ class PostureBounds:
             raise MotionError(f"posture bounds: wanted lower < upper and as many flags, got {lower}, {upper}, {free}")
         for name, value in (("lower", lower), ("upper", upper), ("free", free)):
             object.__setattr__(self, name, frozen(value))
+        if self.beyond is not None:
+            beyond = checked("bounds beyond a reach's ends", self.beyond, (2, len(lower)), error=MotionError)
+            if not (beyond > 0.0).all():
+                raise MotionError(f"posture bounds: wanted room beyond a reach's ends, got {beyond.min()}")
+            object.__setattr__(self, "beyond", frozen(beyond))
 
     @classmethod
     def from_recordings(
@@ -92,7 +108,8 @@ class PostureBounds:
         if config.rotation_rad is not None:
             margin = np.where(slides | pelvis, margin, config.rotation_rad)
         margin = np.where(free, np.pi, margin)
-        return cls(q.min(axis=0) - margin, q.max(axis=0) + margin, free, model.dof_names, config.out_of_reach)
+        beyond = _farthest_beyond(recordings) + margin if config.relative else None
+        return cls(q.min(axis=0) - margin, q.max(axis=0) + margin, free, model.dof_names, config.out_of_reach, beyond)
 
     def around(self, start: FloatArray, goal: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper bounds (J,) of a reach: both ends are allowed, wherever they are.
@@ -100,6 +117,9 @@ class PostureBounds:
         A reach may begin or end beyond what demonstrations did; bounds then give way.
         """
         low, high = np.minimum(start, goal), np.maximum(start, goal)
+        if self.beyond is not None:
+            below, above = np.where(self.free, np.pi, self.beyond)
+            return low - below, high + above
         lower = np.where(self.free, low - np.pi, np.minimum(self.lower, low))
         upper = np.where(self.free, high + np.pi, np.maximum(self.upper, high))
         return lower, upper
@@ -127,3 +147,14 @@ class PostureBounds:
                 )
             said.append(f"{text}; bounds are widened for it")
         return tuple(said)
+
+
+def _farthest_beyond(recordings: Sequence[ReachRecording]) -> FloatArray:
+    """Return how far reaches went below and above their two ends at most, (2, J)."""
+    found = []
+    for recording in recordings:
+        q = recording.active.q
+        low, high = np.minimum(q[0], q[-1]), np.maximum(q[0], q[-1])
+        found.append(np.stack([low - q.min(axis=0), q.max(axis=0) - high]))
+    farthest: FloatArray = np.max(found, axis=0)
+    return farthest

@@ -102,3 +102,17 @@ def test_the_obstacles_of_a_robots_scene_are_moved_to_where_the_person_sees_them
     assert not ReachScene.of_obstacles((), np.eye(4)).obstacles
     with pytest.raises(ArrayError):
         ReachScene.of_obstacles(scene.obstacles, np.zeros((3, 3)))
+
+
+def test_the_table_stands_where_hands_are() -> None:
+    at_the_table = np.array([[1.8, 1.2, 1.0], [5.0, 5.0, 1.0]])
+    assert ReachScene.around_hands(at_the_table) is ReachScene.of_p2()
+    elsewhere = ReachScene.around_hands(at_the_table + np.array([10.0, -3.0, 0.0]))
+    assert elsewhere.obstacles == ()
+    assert (elsewhere.lower_m < [11.8, -1.8, 1.0]).all()
+    assert (elsewhere.upper_m > [15.0, 2.0, 1.0]).all()
+    # There a partner is seen, as at the table.
+    beside = np.array([[[11.8, -1.8, 0.8], [11.8, -1.8, 1.2]]])
+    assert elsewhere.field_with(beside, [0.1]).values.min() < 0.0 < elsewhere.field.values.min()
+    with pytest.raises(SceneError, match="places of hands"):
+        ReachScene.around_hands(np.zeros((0, 3)))

@@ -51,6 +51,13 @@ def test_all_other_dofs_go_straight() -> None:
     np.testing.assert_allclose(q[:, others], wanted[:, others], atol=1e-12)
 
 
+def test_phases_just_before_the_end_are_no_trouble() -> None:
+    phase = 1.0 - 1e-4 * np.random.default_rng(0).random(10_000)
+    assert (minimum_jerk(phase) > 1.0).any()  # by rounding
+    q = ShortShoulder(MODEL)(START, GOAL, np.concatenate([[0.0], np.sort(phase), [1.0]]))
+    np.testing.assert_allclose(q[1:], np.broadcast_to(GOAL, (len(q) - 1, len(GOAL))), atol=1e-6)
+
+
 def test_a_goal_that_is_a_turn_away_is_reached_straight() -> None:
     goal = GOAL.copy()
     goal[SHOULDER[0]] += 2.0 * np.pi

@@ -20,6 +20,7 @@ from humanpred_ros.reaching.prediction.planned_predictors import (
     planned_predictor,
 )
 from humanpred_ros.reaching.prediction.planner import ReachPlannerConfig, SingleShot
+from humanpred_ros.reaching.prediction.posture_bounds import BoundsConfig
 from humanpred_ros.reaching.prediction.replanning import Replanned
 from humanpred_ros.reaching.prediction.task import ReachTask
 
@@ -49,6 +50,33 @@ def test_the_better_planner_varies_as_people_do() -> None:
     still = [MODEL.dof_index[name] for name in ("PelvisRotX",)]
     moved = improved_planner([recording(seed, 31) for seed in range(3, 6)], MODEL, WEIGHTS)
     assert (np.asarray(moved.config.stomp.noise_std)[still] >= 1e-6).all()
+
+
+def test_the_better_planner_is_bounded_by_the_reach_and_p2s_by_the_room() -> None:
+    start, goal = ReachTask.of(RECORDINGS[0]).start.copy(), ReachTask.of(RECORDINGS[0]).goal.copy()
+    k, moved = MODEL.dof_index["PelvisTransX"], 0.05
+    planned = planned_predictor(RECORDINGS, MODEL, WEIGHTS)
+    assert isinstance(planned, SingleShot)
+    for planner, follows in ((improved_planner(RECORDINGS, MODEL, WEIGHTS), True), (planned.planner, False)):
+        lower, _ = planner.bounds.around(start, goal)
+        there = start.copy(), goal.copy()
+        for posture in there:
+            posture[k] += moved
+        assert planner.bounds.around(*there)[0][k] - lower[k] == pytest.approx(moved if follows else 0.0)
+
+
+def test_on_the_interference_case_p2s_trunk_drifts_to_where_others_stood() -> None:
+    demos = load_reach_recordings(shared_data("icra2015/demos"))
+    (case,) = load_reach_recordings(shared_data("icra2015/interference_case"))
+    k, task = MODEL.dof_index["PelvisTransX"], ReachTask.of(case)
+    low, beyond, joint_m = min(task.start[k], task.goal[k]), [], []
+    for bounds in (None, BoundsConfig(relative=True)):
+        predictor = planned_predictor(demos, MODEL, named_weights("authors_static"), bounds=bounds)
+        q = predictor.predict(task, np.random.default_rng(0))
+        beyond.append(float(low - q[:, k].min()))
+        joint_m.append(ReachMetric(MODEL).between(q, case.active.q).joint_m)
+    assert beyond[1] <= 0.03 < beyond[0]
+    assert joint_m[1] < 0.9 * joint_m[0]
 
 
 def test_a_mean_of_plans_scatters_less_than_one() -> None:

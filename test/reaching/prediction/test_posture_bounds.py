@@ -72,7 +72,44 @@ def test_bounds_of_p2s_recordings() -> None:
         assert bounds.upper[k] == pytest.approx(high + margin, abs=1e-4)
 
 
+def test_relative_bounds_go_with_the_reach_and_leave_as_much_room_as_demonstrations_took() -> None:
+    bounds = PostureBounds.from_recordings(RECORDINGS, MODEL, BoundsConfig(relative=True))
+    k, free = COLUMN["PelvisTransX"], COLUMN["rElbowZ"]
+    paths = [recording.active.q[:, k] for recording in RECORDINGS]
+    farthest = max(float(path.max() - max(path[0], path[-1])) for path in paths)
+    for moved in (0.0, 1.5):  # wherever somebody stands
+        start, goal = START.copy(), GOAL.copy()
+        start[k] += moved
+        goal[k] += moved
+        lower, upper = bounds.around(start, goal)
+        assert upper[k] - max(start[k], goal[k]) == pytest.approx(farthest + 0.02)
+        assert (lower < np.minimum(start, goal)).all()
+        assert upper[free] - max(start[free], goal[free]) == pytest.approx(np.pi)
+
+
+def test_relative_bounds_of_p2s_recordings_hold_the_recordings_and_leave_the_trunk_little_room() -> None:
+    recordings = load_reach_recordings(shared_data("icra2015/demos"))
+    bounds = PostureBounds.from_recordings(recordings, MODEL, BoundsConfig(relative=True))
+    for entry in recordings:
+        q = entry.active.q
+        lower, upper = bounds.around(q[0], q[-1])
+        assert (q >= lower).all()
+        assert (q <= upper).all()
+    k = COLUMN["PelvisTransX"]
+    absolute = PostureBounds.from_recordings(recordings, MODEL)
+    still = recordings[0].active.q[0]
+    lower, upper = bounds.around(still, still)
+    assert upper[k] - lower[k] < 0.06 < 0.23 < absolute.upper[k] - absolute.lower[k]
+    # Whether a goal is to be believed is still told by where demonstrations ended.
+    far = still.copy()
+    far[k] += 3.0
+    with pytest.raises(GoalUnreachableError):
+        bounds.check_goal("far", far)
+
+
 def test_bad_input_is_refused() -> None:
+    with pytest.raises(MotionError, match="room beyond"):
+        PostureBounds(np.zeros(3), np.ones(3), np.zeros(3, dtype=np.bool_), beyond=np.zeros((2, 3)))
     with pytest.raises(MotionError, match="at least one"):
         PostureBounds.from_recordings([], MODEL)
     with pytest.raises(MotionError, match="lower < upper"):
