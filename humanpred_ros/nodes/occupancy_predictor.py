@@ -116,7 +116,10 @@ class OccupancyPredictorNode(GraphNode):
             knowledge = ReachKnowledge.of_model(load_model(settings.model, self.human), self.human)
         else:
             self.get_logger().info(f"no model given: learning how people reach from {settings.library}")
-            knowledge = ReachKnowledge.of_library(load_library(locate(settings.library, "bags")), self.human)
+            library = load_library(locate(settings.library, "bags"))
+            if "recordings" in library.provenance:
+                self.get_logger().info(f"motions: {library.provenance['recordings']}")
+            knowledge = ReachKnowledge.of_library(library, self.human)
         if knowledge.left_out:
             self.get_logger().warning(f"mistracked, not learned from: {', '.join(knowledge.left_out)}")
         self.own_goals = goals_of_scene(scene) or knowledge.places

@@ -1,11 +1,13 @@
 """Predicts occupancy next to reaches that no library contains: which place, and how the reach there goes on.
 
 P1 weighs the volumes of learned classes by their posterior. Here a class is a place the hand may go to, given at run
-time; what its reaches sweep is made up from how people reach in general.
+time; what its reaches sweep is made up from how people reach in general. A reach to none of the places goes somewhere,
+too: to places nobody told, where people's hands go.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -25,6 +27,7 @@ from humanpred_ros.reaching.futures.progress import ReachProgress
 from humanpred_ros.reaching.futures.samples import ReachFutures, ReachFuturesConfig
 from humanpred_ros.reaching.goals.inference import GoalClassifier
 from humanpred_ros.reaching.goals.places import GoalPlaces
+from humanpred_ros.recognition.classifier import ClassPosterior
 from humanpred_ros.recognition.stream import StreamClassifier
 
 #: P2's cost as its authors learned it (facts: icra2015, section 4).
@@ -39,7 +42,7 @@ class ReachingConfig:
         futures: how the rest of a reach is sampled.
         sweep: how samples become voxels.
         least_probability: places less probable than this are given no futures, nor are places out of reach, unless all
-            are; their probability goes to the others.
+            are, nor places nobody told, if they are all together; their probability goes to the others.
     """
 
     futures: ReachFuturesConfig = field(default_factory=ReachFuturesConfig)
@@ -54,8 +57,8 @@ class ReachingConfig:
 class ReachingPredictor(OccupancyPredictor):
     """p(voxel) = sum over places of P(place) times the share of futures towards it that touch the voxel.
 
-    Where the body is now has probability 1, and nothing else has. Given that the reach is for none of the places, it is
-    predicted as for them; the posterior says how probable that is.
+    Where the body is now has probability 1, and nothing else has. Given that the reach is for none of the places, as
+    probable as the posterior says, it is for others that nobody told (`GoalClassifier.elsewhere`), one future each.
 
     Attributes:
         grid: the lattice, world frame.
@@ -136,10 +139,10 @@ class ReachingPredictor(OccupancyPredictor):
             progress = self._at_rest
             progress.start()
             progress.update(q)
-        p = self._sampled.probability(q, self._groups(progress, posterior.given_known))
+        p = self._sampled.probability(q, self._groups(progress, posterior))
         return Prediction(Occupancy(self.grid, p, t_s), posterior)
 
-    def _groups(self, progress: ReachProgress, probability: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+    def _groups(self, progress: ReachProgress, posterior: ClassPosterior) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Yield groups of futures with their probabilities, for places that are probable and can be reached."""
         n, goals = self.config.futures.n_samples, self.goals
         if progress.turned:
@@ -148,11 +151,26 @@ class ReachingPredictor(OccupancyPredictor):
             return
         far = np.isin(goals.labels, [place.label for place in goals.out_of_reach(self.human, progress.start_posture)])
         # Told only places that nobody gets to, it is better to expect a reach that way than none at all.
-        share = probability if far.all() else np.where(far, 0.0, probability)
+        share = posterior.given_known
+        share = share if far.all() else np.where(far, 0.0, share)
         share = np.where(share >= min(self.config.least_probability, share.max()), share, 0.0)
-        for probable, place in zip((share / share.sum()).tolist(), goals.places_m, strict=True):
+        elsewhere, unknown = self._elsewhere(posterior)
+        for probable, place in zip(((1.0 - unknown) * share / share.sum()).tolist(), goals.places_m, strict=True):
             if probable > 0.0:
                 yield np.full(n, probable / n), self._futures.towards(progress, place)
+        if unknown > 0.0:
+            k = len(elsewhere)
+            yield np.full(k, unknown / k), self._futures.towards_each(progress, elsewhere)
+
+    def _elsewhere(self, posterior: ClassPosterior) -> tuple[FloatArray, float]:
+        """Return places (K, 3) nobody told, and how probable they are together: 0 if there is no need of them."""
+        # At rest the classifier knows of the last reach.
+        if not posterior.n_frames or posterior.unknown < self.config.least_probability:
+            return np.empty((0, 3)), 0.0
+        # Improbable, they are worth little time: so many futures that each counts as little as one to a probable place.
+        most = self.config.futures.n_samples
+        places = self._goals.elsewhere(min(math.ceil(2 * most * posterior.unknown), most))
+        return places, posterior.unknown if len(places) else 0.0
 
     def _warm_up(self, human: HumanModel) -> None:
         """Use what is compiled at its first use."""

@@ -19,6 +19,7 @@ from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.reaching.futures.end_postures import HAND
 from humanpred_ros.reaching.futures.model import ReachModel
+from humanpred_ros.reaching.futures.progress import ReachProgress
 from humanpred_ros.reaching.futures.samples import ReachFuturesConfig
 from humanpred_ros.reaching.goals.inference import GoalClassifier
 from humanpred_ros.reaching.goals.places import GoalPlaces, mistracked
@@ -99,6 +100,48 @@ def test_improbable_places_are_given_no_futures_and_the_others_theirs() -> None:
         prediction = narrow.update(posture, k / 30.0)
     there = GRID.flat_index(APART[1])
     assert prediction.occupancy.probability.ravel()[there] == 0.0
+
+
+def test_a_reach_to_none_of_the_places_is_expected_to_go_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    q = reach_to(APART[0])
+    seen = 24
+
+    def after(subject: ReachingPredictor) -> tuple[FloatArray, float]:
+        subject.set_goals(GoalPlaces((3,), APART[1:2]))
+        for k, posture in enumerate(q[:seen]):
+            prediction = subject.update(posture, k / 30.0)
+        assert prediction.posterior is not None
+        return prediction.occupancy.probability, prediction.posterior.unknown
+
+    p, unknown = after(predictor())
+    assert unknown > 0.5
+    monkeypatch.setattr(ReachingPredictor, "_elsewhere", lambda *_: (np.empty((0, 3)), 0.0))
+    as_if_told, _ = after(predictor())
+    voxeliser = BodyVoxeliser(HUMAN, GRID, np.eye(4))
+    swept, now = voxeliser.mask(q[seen:]), voxeliser.mask(q[seen - 1])
+    assert ((p - swept) ** 2).sum() < 0.5 * ((as_if_told - swept) ** 2).sum()
+    assert p[now].min() == 1.0
+    assert p.max() < 1.0 + 1e-6
+
+
+def test_no_time_is_spent_on_what_is_improbable(monkeypatch: pytest.MonkeyPatch) -> None:
+    subject, counts = predictor(), []
+    each = subject._futures.towards_each
+
+    def counted(progress: ReachProgress, places_m: FloatArray) -> FloatArray:
+        counts.append(len(places_m))
+        return each(progress, places_m)
+
+    monkeypatch.setattr(subject._futures, "towards_each", counted)
+    for k, posture in enumerate(reach_to(APART[0])):
+        before = len(counts)
+        prediction = subject.update(posture, k / 30.0)
+        assert prediction.posterior is not None
+        unknown = prediction.posterior.unknown
+        # 16 futures from one in two on, none below one in a hundred.
+        expected = min(int(np.ceil(32 * unknown)), 16) if unknown >= 0.01 else 0
+        assert sum(counts[before:]) == expected
+    assert counts[0] == 7
 
 
 def test_somebody_at_rest_may_reach_for_any_place_and_a_reach_is_noticed() -> None:

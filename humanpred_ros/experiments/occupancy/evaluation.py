@@ -7,6 +7,9 @@ cover the whole recording, too. `until="apex"` ends every test motion where the 
 Where scores are taken: the voxels that any motion of the library sweeps, and two voxels around, the same for all
 predictors; what somebody predicts elsewhere counts, too, as an error in the sum. So a ratio of two Brier scores does
 not depend on the region, while their size does: the sum over voxels is given beside.
+
+Who is told places is shown every motion twice: told its place among the others, and told only the others, as when
+somebody beside a robot reaches for what no scene lists.
 """
 
 from __future__ import annotations

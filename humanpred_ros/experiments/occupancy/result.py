@@ -103,6 +103,8 @@ class PredictorResult:
         timing: of updates and training.
         refused_postures: how many the predictor refused, over all motions.
         picture: the moment that is drawn.
+        untold, untold_at_percent: as `average` and `at_percent`, of a predictor that is told places, had it not been
+            told the tested motion's; None for who is told none.
     """
 
     name: str
@@ -116,6 +118,8 @@ class PredictorResult:
     timing: UpdateTiming
     refused_postures: int
     picture: Picture | None
+    untold: VoxelFigures | None = None
+    untold_at_percent: VoxelFigures | None = None
 
     @classmethod
     def of(
@@ -125,6 +129,8 @@ class PredictorResult:
         at_percent = VoxelFigures.at_percents([outcome.scores for outcome in outcomes])
         good = [outcome.scores for outcome in outcomes if outcome.name not in mistracked]
         some_bad = 0 < len(good) < len(outcomes)
+        again = [outcome.untold for outcome in outcomes if outcome.untold is not None]
+        untold = VoxelFigures.at_percents(again) if again else None
         single = {o.name: VoxelFigures.at_percents([o.scores]).averaged() for o in outcomes}
         update_ms = np.concatenate([outcome.update_ns for outcome in outcomes]) * 1e-6
         return cls(
@@ -143,6 +149,8 @@ class PredictorResult:
             ),
             sum(outcome.refused for outcome in outcomes),
             next((outcome.picture for outcome in outcomes if outcome.picture is not None), None),
+            None if untold is None else untold.averaged(),
+            untold,
         )
 
 

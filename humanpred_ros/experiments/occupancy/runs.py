@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -22,6 +22,7 @@ from humanpred_ros.occupancy.predictor import OccupancyPredictor
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.predictors.folds import FoldSettings, LeaveOneOut
 from humanpred_ros.predictors.leave_one_out import leave_one_out
+from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.training import REACHING_LINK
 
@@ -55,6 +56,8 @@ class MotionOutcome:
         refused: postures the predictor refused; its prediction then stays what it was.
         prepare_s: how long it took to train without this motion.
         picture: the moment asked for, if this is the motion asked for.
+        untold: the scores of who is told places, shown the motion once more without having been told this one's; None
+            for who is told none, or would be left with none.
     """
 
     name: str
@@ -63,6 +66,7 @@ class MotionOutcome:
     refused: int
     prepare_s: float
     picture: Picture | None
+    untold: tuple[VoxelScores, ...] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +120,11 @@ class LeftOutMotions:
             begun = time.perf_counter()
             predictor = fold.without(name)
             prepare_s = time.perf_counter() - begun
-            outcomes.append(_played(predictor, name, postures, t_s, last_touch, prepare_s, setup))
+            outcome = _played(predictor, name, postures, t_s, last_touch, prepare_s, setup)
+            if _forgets_place(predictor, motion.label):
+                again = _played(predictor, name, postures, t_s, last_touch, prepare_s, setup)
+                outcome = replace(outcome, untold=again.scores)
+            outcomes.append(outcome)
         return tuple(outcomes)
 
     @cached_property
@@ -142,6 +150,17 @@ def until_end(motion: Motion, human: HumanModel, until: str) -> tuple[FloatArray
         palm = human.forward(motion.q)[REACHING_LINK]
         n = int(np.argmax(np.linalg.norm(palm - palm[0], axis=1))) + 1
     return motion.q[:n], motion.t_s[:n]
+
+
+def _forgets_place(predictor: OccupancyPredictor, label: int | None) -> bool:
+    """Take one place away from a predictor that is told places; return whether it had that one and others."""
+    if not isinstance(predictor, ReachingPredictor):
+        return False
+    goals = predictor.goals
+    if label is None or label not in goals.labels or len(goals) < 2:
+        return False
+    predictor.set_goals(goals.without(label))
+    return True
 
 
 def _played(

@@ -24,10 +24,12 @@ _AVERAGES: tuple[_Row, ...] = (
         "  without mistracked motions x 1000",
         lambda r: _of(r.without_mistracked, lambda f: f"{1e3 * float(f.brier):.2f}"),
     ),
+    ("  its place not told x 1000", lambda r: _of(r.untold, lambda f: f"{1e3 * float(f.brier):.2f}")),
     ("log score x 1000", lambda r: f"{1e3 * float(r.average.log_loss):.1f}"),
     ("area under precision-recall", lambda r: f"{float(r.average.average_precision):.3f}"),
     ("swept voxels given < 1 %", lambda r: _share(r.average.missed)),
     ("  without mistracked motions", lambda r: _of(r.without_mistracked, lambda f: _share(f.missed))),
+    ("  its place not told", lambda r: _of(r.untold, lambda f: _share(f.missed))),
     ("calibration error, voxels given >= 1 %", lambda r: f"{r.calibration.error_predicted:.3f}"),
     ("voxels expected", lambda r: f"{float(r.average.n_predicted):.0f}"),
     ("voxels swept", lambda r: f"{float(r.average.n_swept):.0f}"),
@@ -46,14 +48,17 @@ def print_occupancy_evaluation(evaluation: OccupancyEvaluation, console: Console
         f"over {len(evaluation.percents)} fractions, means over {evaluation.region_voxels} voxels",
     )
     table = _table(evaluation)
+    # Rows that say nothing of anybody are left out.
+    without = {"mistracked"} if not evaluation.mistracked else set()
+    without |= {"not told"} if all(result.untold is None for result in evaluation.predictors) else set()
     for title, cell in _AVERAGES:
-        if evaluation.mistracked or "mistracked" not in title:
+        if not any(words in title for words in without):
             table.add_row(title, *(cell(result) for result in evaluation.predictors))
     console.print(table)
     _print_unseen(evaluation, console)
     for title, cells in (
-        ("Brier score x 1000 by % seen", lambda r: [f"{1e3 * value:.2f}" for value in r.at_percent.brier]),
-        ("swept voxels given < 1 % by % seen", lambda r: [_share(value) for value in r.at_percent.missed]),
+        ("Brier score x 1000 by % seen", lambda f: [f"{1e3 * value:.2f}" for value in f.brier]),
+        ("swept voxels given < 1 % by % seen", lambda f: [_share(value) for value in f.missed]),
     ):
         headline(console, title)
         console.print(_by_percent(evaluation, cells))
@@ -66,7 +71,8 @@ def _print_unseen(evaluation: OccupancyEvaluation, console: Console) -> None:
         return
     text = (
         "reaching (P2) has learned from no motion of the tested motion's class; it is told the places of all classes, "
-        "the tested one's from the class's other motions"
+        "the tested one's from the class's other motions. Place not told: all but that one, so that the reach goes to "
+        "none of those it knows of"
     )
     if evaluation.unseen_beside_seen is not None:
         text += (
@@ -84,13 +90,15 @@ def _table(evaluation: OccupancyEvaluation) -> Table:
     return table
 
 
-def _by_percent(evaluation: OccupancyEvaluation, cells: Callable[[PredictorResult], list[str]]) -> Table:
+def _by_percent(evaluation: OccupancyEvaluation, cells: Callable[[VoxelFigures], list[str]]) -> Table:
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column()
     for percent in evaluation.percents:
         table.add_column(str(percent), justify="right", no_wrap=True)
     for result in evaluation.predictors:
-        table.add_row(escape(result.name), *cells(result))
+        table.add_row(escape(result.name), *cells(result.at_percent))
+        if result.untold_at_percent is not None:
+            table.add_row("  place not told", *cells(result.untold_at_percent))
     return table
 
 

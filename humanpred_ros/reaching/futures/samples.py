@@ -29,7 +29,7 @@ from humanpred_ros.reaching.prediction.posture_bounds import PostureBounds
 #: STOMP needs some noise for every DoF.
 _LEAST_NOISE, _MOST_NOISE = 1e-6, 0.003
 _LEAST_DURATION_S = 0.1
-_MOST_ENDS = 64
+_MOST_ENDS = 256
 
 
 @dataclass(frozen=True)
@@ -113,22 +113,56 @@ class ReachFutures:
         if progress.turned:
             return self._back(progress, np.repeat(progress.apex[None], self.config.n_samples, axis=0))
         done = progress.way_to(place_m)
-        end = self._shape(start.tobytes())[0].given(
-            self._end(start.tobytes(), place_m.tobytes()), start, now, done, way_m
-        )
+        end = self._given(progress, place_m, done, way_m)
         ends = end.mean + self._draws[:, 0] @ _root(end.covariance).T
         n = self._n_postures(float(np.linalg.norm(place_m - progress.hand_m)))
         share = np.linspace(done, 1.0, n)
-        out = self._between_ends(start, start, ends, share, way_m)
-        left = np.linspace(1.0, 0.0, n)[:, None]
-        out += left * (now - out[:, :1])
+        out = self._from_now(now, start, ends, share, way_m)
         if self.config.planned and done < 1.0:
             out += self._planned(start, now, end, share, way_m)
+        return self._with_return(progress, out, ends, way_m)
+
+    def towards_each(self, progress: ReachProgress, places_m: FloatArray) -> FloatArray:
+        """Return futures (K, N, D) of a reach under way, not yet turned back, one to each of up to S places (K, 3).
+
+        Of places that stand for a region. STOMP does not plan them: none of the ways is likely to be the one.
+        """
+        start, now = progress.start_posture, progress.posture
+        way_m = np.linalg.norm(places_m - progress.start_hand_m, axis=1)
+        done = np.array([progress.way_to(place) for place in places_m])
+        ends = np.empty((len(places_m), len(now)))
+        for k, place in enumerate(places_m):
+            end = self._given(progress, place, float(done[k]), float(way_m[k]))
+            ends[k] = end.mean + _root(end.covariance) @ self._draws[k, 0]
+        left_m = np.linalg.norm(places_m - progress.hand_m, axis=1)
+        share = done[:, None] + (1.0 - done[:, None]) * np.linspace(0.0, 1.0, self._n_postures(float(left_m.max())))
+        return self._with_return(progress, self._from_now(now, start, ends, share, way_m), ends, way_m)
+
+    def _given(self, progress: ReachProgress, place_m: FloatArray, done: float, way_m: float) -> EndPosture:
+        """Return the end posture at a place, given what was seen of the reach."""
+        start = progress.start_posture
+        end = self._end(start.tobytes(), place_m.tobytes())
+        return self._shape(start.tobytes())[0].given(end, start, progress.posture, done, way_m)
+
+    def _from_now(
+        self, now: FloatArray, start: FloatArray, ends: FloatArray, share: FloatArray, way_m: float | FloatArray
+    ) -> FloatArray:
+        """Return ways (S, N, D) to end postures, as `_between_ends`, all from the present posture on."""
+        out = self._between_ends(start, start, ends, share, way_m)
+        left = np.linspace(1.0, 0.0, out.shape[1])[:, None]
+        out += left * (now - out[:, :1])
+        return out
+
+    def _with_return(
+        self, progress: ReachProgress, out: FloatArray, ends: FloatArray, way_m: float | FloatArray
+    ) -> FloatArray:
+        """Return the futures and then, if people come back, the ways back of as many as do."""
         if not len(self._returns):
             return out
         back = self._back(progress, ends, way_m)
         # Those that stay repeat where they are.
-        back[self._stays] = ends[self._stays, None]
+        stays = self._stays[self._stays < len(ends)]
+        back[stays] = ends[stays, None]
         return np.concatenate([out, back], axis=1)
 
     def _end_from(self, start: bytes, place_m: bytes) -> EndPosture:
@@ -142,14 +176,14 @@ class ReachFutures:
         turn[:3, :3] = R
         return shape, turn @ _root(self.model.shape.variation), turn * self.model.rest_deviation
 
-    def _back(self, progress: ReachProgress, ends: FloatArray, way_m: float | None = None) -> FloatArray:
+    def _back(self, progress: ReachProgress, ends: FloatArray, way_m: float | FloatArray | None = None) -> FloatArray:
         """Return the ways back (S, N, D) from end postures (S, D), from the present one if the hand has turned."""
         start = progress.start_posture
         under_way = way_m is None
         if way_m is None:
             way_m = progress.reached_m
-        share = np.linspace(1.0 - progress.way_back if under_way else 1.0, 0.0, self._n_postures(way_m))
-        rests = start + self._draws[:, 2] @ self._shape(start.tobytes())[2].T
+        share = np.linspace(1.0 - progress.way_back if under_way else 1.0, 0.0, self._n_postures(float(np.max(way_m))))
+        rests = start + self._draws[: len(ends), 2] @ self._shape(start.tobytes())[2].T
         back = self._between_ends(start, rests, ends, share, way_m)
         if under_way:
             left = np.linspace(1.0, 0.0, len(share))[:, None]
@@ -157,16 +191,18 @@ class ReachFutures:
         return back
 
     def _between_ends(
-        self, start: FloatArray, near: FloatArray, far: FloatArray, share: FloatArray, way_m: float
+        self, start: FloatArray, near: FloatArray, far: FloatArray, share: FloatArray, way_m: float | FloatArray
     ) -> FloatArray:
-        """Return postures (S, N, D) at shares (N,) of ways from near (S, D) or (D,) to far (S, D)."""
+        """Return postures (S, N, D) at shares of ways from near (S, D) or (D,) to far (S, D).
+
+        Shares (N,) and the hand's way are the same for all, or (S, N) and (S,).
+        """
         shape, root, _ = self._shape(start.tobytes())
         first = np.broadcast_to(near, far.shape)[:, None]
-        line = first + share[:, None] * (far[:, None] - first)
-        varied = self._draws[:, 1] @ root.T
-        postures: FloatArray = (
-            line + shape.bow_at(share, way_m) + np.sqrt(4.0 * share * (1.0 - share))[:, None] * varied[:, None]
-        )
+        line = first + share[..., None] * (far[:, None] - first)
+        varied = self._draws[: len(far), 1] @ root.T
+        bow = np.reshape(way_m, (-1, 1, 1)) * shape.bow_at(share, 1.0)
+        postures: FloatArray = line + bow + np.sqrt(4.0 * share * (1.0 - share))[..., None] * varied[:, None]
         return postures
 
     def _planned(

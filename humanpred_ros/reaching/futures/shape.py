@@ -89,7 +89,7 @@ class ReachShape:
         return ReachShape(self.bow @ turn.T, turn @ self.variation @ turn.T)
 
     def bow_at(self, share: FloatArray, way_m: float) -> FloatArray:
-        """Return the bow (N, D) at shares (N,) of a way of the hand."""
+        """Return the bow (..., N, D) at shares (..., N) of a way of the hand."""
         known = np.linspace(0.0, 1.0, N_SHARES)
         bow: FloatArray = way_m * np.stack([np.interp(share, known, column) for column in self.bow.T], axis=-1)
         return bow

@@ -18,8 +18,9 @@ from humanpred_ros.reaching.futures.progress import ReachProgress
 from humanpred_ros.reaching.goals.best_reaches import best_reach
 from humanpred_ros.reaching.goals.features import N_COLUMNS, HandState, observe
 from humanpred_ros.reaching.goals.learning import ReachLesson, fit_goal_model, learn_goal_model, reach_lessons
-from humanpred_ros.reaching.goals.model import GoalConfig, GoalModel
+from humanpred_ros.reaching.goals.model import GoalConfig, GoalModel, unknown_probability
 from humanpred_ros.reaching.goals.places import GoalPlaces
+from humanpred_ros.reaching.goals.untold import UntoldPlaces, evenly_picked
 from humanpred_ros.recognition.class_mixtures import check_trainable
 from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
 from humanpred_ros.recognition.reach_features import N_START, point_links
@@ -64,9 +65,12 @@ class GoalClassifier(IntentClassifier):
         if ends is not None and ends.human.signature != self.human.signature:
             raise HumanModelError(
                 f"goals: wanted end postures of {self.human.name}, got a model with those of {ends.human.name}; its "
-                "weights alone serve another human, too: GoalModel(model.weights, model.unknown)"
+                "weights alone serve another human, too: GoalModel(model.weights)"
             )
         self._links = point_links(self.human)
+        self._untold = self.model.untold or UntoldPlaces.around_shoulder(self.human)
+        #: Places nobody told, and for which goals and posture.
+        self._others: tuple[tuple[GoalPlaces | None, bytes], tuple[FloatArray, FloatArray]] | None = None
         self._goals = goals
         self.progress = ReachProgress(self.human)
         #: What was learned from, for `fit_without`, and the models learned without a class.
@@ -95,6 +99,7 @@ class GoalClassifier(IntentClassifier):
         self._lessons = reach_lessons(library, self.human, self.config)
         self._without = {}
         self.model = fit_goal_model(self._lessons, self.human, self.config)
+        self._untold, self._others = self.model.untold or self._untold, None
         self.set_goals(GoalPlaces.of_ends([lesson.end for lesson in self._lessons]))
         self.start()
         return self
@@ -153,8 +158,11 @@ class GoalClassifier(IntentClassifier):
             self.start()
             return self.update(q, t_s)
         observe(self._state, points, t_s, self._row)
-        best = self._best_reaches(goals)
-        log_evidence, unknown = self.model.posterior(self._row, goals.places_m, self.config.unknown_prior, best)
+        log_evidence = self.model.log_likelihood(self._row[None], goals.places_m, self._best_reaches(goals))[0]
+        # How the whole body would reach is known for told places only, so told and untold are compared by the hand.
+        told = self._by_hand(goals.places_m) - np.log(len(goals))
+        others, log_share = self._untold_places()
+        unknown = unknown_probability(told, log_share + self._by_hand(others), self.config.unknown_prior)
         likelihood = np.exp(log_evidence - log_evidence.max())
         return ClassPosterior(
             goals.labels,
@@ -164,6 +172,33 @@ class GoalClassifier(IntentClassifier):
             int(self._state.reach.n_seen[0]),
             unknown,
         )
+
+    def elsewhere(self, n: int) -> FloatArray:
+        """Return n places (n, 3) nobody told that stand for where the reach goes if it goes to none that was told.
+
+        All are equally probable, given the reach so far; there are none if told places are everywhere.
+        """
+        others, log_share = self._untold_places()
+        return evenly_picked(others, log_share + self._by_hand(others), n) if len(others) else others
+
+    def _by_hand(self, places_m: FloatArray) -> FloatArray:
+        """Return ln P(reach of the hand so far | place) (G,) of places (G, 3), up to a constant."""
+        log_likelihood: FloatArray = self.model.log_likelihood(self._row[None], places_m)[0]
+        return log_likelihood
+
+    def _untold_places(self) -> tuple[FloatArray, FloatArray]:
+        """Return places (M, 3) nobody told, tracker's frame, and ln P(place) (M,), given that it is one of them.
+
+        None is so near to a told one that it might be that; both stay the same while a reach lasts.
+        """
+        key = (self._goals, self.progress.start_posture.tobytes())
+        if self._others is None or self._others[0] != key:
+            others = self._untold.around(self.progress.start_posture)
+            told = np.empty((0, 3)) if self._goals is None else self._goals.places_m
+            apart = (np.linalg.norm(others[:, None] - told, axis=2) >= self.config.apart_m).all(axis=1)
+            share = self._untold.share[apart]
+            self._others = key, (others[apart], np.log(share / share.sum()))
+        return self._others[1]
 
     def _best_reaches(self, goals: GoalPlaces) -> list[FloatArray] | None:
         """Return the best reach to each goal; None until the start posture is known and all have been worked out.

@@ -3,8 +3,7 @@
 The weights are those under which the true goals are most probable among the others (a conditional logit, which is the
 maximum-entropy model of choice), none negative, and pulled towards fixed prior weights, so that a handful of motions
 is enough: the pull is a Gaussian prior as wide as the prior weights are large, and a motion counts once, however many
-of its postures are looked at. That a reach goes to none of the places is learned by pretending: with its true goal
-among the places, which makes it a known one, and without, which makes it an unknown one.
+of its postures are looked at.
 """
 
 from __future__ import annotations
@@ -21,8 +20,8 @@ from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.resampling import unwrap_angles
 from humanpred_ros.reaching.futures.end_postures import EndPostures
 from humanpred_ros.reaching.goals.best_reaches import best_reach
-from humanpred_ros.reaching.goals.features import N_PARTS, REACHED_M, chosen_postures, excess_costs, reach_so_far
-from humanpred_ros.reaching.goals.model import PRIOR_UNKNOWN, PRIOR_WEIGHTS, GoalConfig, GoalModel, unknown_inputs
+from humanpred_ros.reaching.goals.features import N_PARTS, chosen_postures, excess_costs, reach_so_far
+from humanpred_ros.reaching.goals.model import PRIOR_WEIGHTS, GoalConfig, GoalModel
 from humanpred_ros.reaching.goals.places import GoalPlaces, ReachEnd, reach_ends, reaching_for, typical_end
 from humanpred_ros.recognition.reach_features import N_START
 
@@ -125,8 +124,7 @@ def fit_goal_model(
             choices.append(choice)
     if not choices:
         return GoalModel.prior()
-    weights = _fit_weights(choices)
-    return GoalModel(weights, _fit_unknown(choices, weights), len(choices), ends)
+    return GoalModel(_fit_weights(choices), len(choices), ends)
 
 
 def _known_places(ends: Sequence[ReachEnd], places: GoalPlaces | None, without: Collection[int]) -> GoalPlaces | None:
@@ -136,18 +134,10 @@ def _known_places(ends: Sequence[ReachEnd], places: GoalPlaces | None, without: 
     return GoalPlaces(tuple(left), np.array([places.place(label) for label in left])) if left else None
 
 
-@dataclass(frozen=True, eq=False)
-class _Choice:
-    """One motion's postures: excess costs (n, G, N_PARTS) of places, the true one first; (n,) distances reached."""
-
-    costs: FloatArray
-    reached_m: FloatArray
-
-
 def _choice(
     lesson: ReachLesson, places: GoalPlaces, human: HumanModel, ends: EndPostures, config: GoalConfig
-) -> _Choice | None:
-    """Return a motion's choice among places, None if there is no other one than its own."""
+) -> FloatArray | None:
+    """Return a motion's excess costs (n, G, N_PARTS) of places, the true one first; None if there is no other."""
     true = np.array(places.labels) == lesson.end.label
     apart = np.linalg.norm(places.places_m - places.places_m[true], axis=1) >= config.apart_m
     if not apart.any():
@@ -155,7 +145,7 @@ def _choice(
     alternatives = np.vstack([places.places_m[true], places.places_m[apart]])
     start_q = np.median(lesson.q[:N_START], axis=0)
     best = [best_reach(human, ends, start_q, place) for place in alternatives]
-    return _Choice(excess_costs(lesson.rows, alternatives, best), lesson.rows[:, REACHED_M])
+    return excess_costs(lesson.rows, alternatives, best)
 
 
 def _true_place(end: ReachEnd, ends: Sequence[ReachEnd]) -> FloatArray:
@@ -164,12 +154,15 @@ def _true_place(end: ReachEnd, ends: Sequence[ReachEnd]) -> FloatArray:
     return typical_end(others or [end])
 
 
-def _fit_weights(choices: Sequence[_Choice]) -> FloatArray:
-    """Return the most probable weights (N_PARTS,): choices by number of places, so that each is one array product."""
+def _fit_weights(choices: Sequence[FloatArray]) -> FloatArray:
+    """Return the most probable weights (N_PARTS,) of choices (n, G, N_PARTS) of excess costs, the chosen place first.
+
+    By number of places, so that each number is one array product.
+    """
     by_size: dict[int, list[FloatArray]] = {}
-    for choice in choices:
+    for costs in choices:
         # Only what the others cost more than the true one counts.
-        more = choice.costs[:, 1:] - choice.costs[:, :1]
+        more = costs[:, 1:] - costs[:, :1]
         by_size.setdefault(more.shape[1], []).append(more)
     groups = [
         (np.concatenate(group), np.concatenate([np.full(len(more), 1.0 / len(more)) for more in group]))
@@ -188,30 +181,6 @@ def _fit_weights(choices: Sequence[_Choice]) -> FloatArray:
         return total, gradient
 
     return _minimised(loss, PRIOR_WEIGHTS, [(0.0, None)] * N_PARTS)
-
-
-def _fit_unknown(choices: Sequence[_Choice], weights: FloatArray) -> FloatArray:
-    """Return the most probable weights (2,) of no goal, as many reaches to one as to none; needs two other places."""
-    inputs, unknown, share = [], [], []
-    for choice in choices:
-        if choice.costs.shape[1] > 2:
-            log_likelihood = -(choice.costs @ weights)
-            for first in (0, 1):
-                inputs.append(unknown_inputs(log_likelihood[:, first:], choice.reached_m))
-                unknown.append(np.full(len(log_likelihood), float(first)))
-                share.append(np.full(len(log_likelihood), 1.0 / len(log_likelihood)))
-    if not inputs:
-        return PRIOR_UNKNOWN
-    x, sign, weight = np.concatenate(inputs), 1.0 - 2.0 * np.concatenate(unknown), np.concatenate(share)
-
-    def loss(parameters: FloatArray) -> tuple[float, FloatArray]:
-        pull = (parameters - PRIOR_UNKNOWN) / PRIOR_UNKNOWN
-        wrong = sign * (x @ parameters)
-        total = float(weight @ np.logaddexp(0.0, wrong)) + 0.5 * float(pull @ pull)
-        slope = weight * sign / (1.0 + np.exp(-wrong))
-        return total, slope @ x + pull / PRIOR_UNKNOWN
-
-    return _minimised(loss, PRIOR_UNKNOWN, [(None, 0.0), (0.0, None)])
 
 
 def _minimised(

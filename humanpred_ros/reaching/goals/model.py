@@ -2,28 +2,29 @@
 
 P(goal | reach so far) is the prior times exp(-weighted excess cost), normalised: people are taken to make a detour the
 more rarely the longer it is, which is the maximum-entropy distribution of P2's learning (P2 eq. 3, there over whole
-trajectories). That none of the places is the goal shows in all of them costing more than people ever waste.
+trajectories). That none of the places is the goal shows in others, nobody told of (`untold`), being better goals: the
+odds of that are the prior ones times the ratio of the mean likelihoods, and nothing about it needs learning.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import ArrayError, UsageError
 from humanpred_ros.reaching.futures.end_postures import EndPostures
-from humanpred_ros.reaching.goals.features import N_PARTS, REACHED_M, excess_costs
+from humanpred_ros.reaching.goals.features import N_PARTS, excess_costs
+from humanpred_ros.reaching.goals.untold import UntoldPlaces
 
 #: Of the weights before anything is learned, in the order of `PARTS`: a decimetre makes a goal e times less probable,
 #: and so does pointing 60 degrees elsewhere.
 PRIOR_WEIGHTS = np.array([10.0, 10.0, 10.0, 2.0, 2.0, 10.0, 10.0])
-#: And of ln(odds of no goal) once the hand has gone half a metre: a constant, and per root of the excess of all goals.
-PRIOR_UNKNOWN = np.array([-7.0, 3.0])
-#: At this distance from its start a hand has shown all it can of whether it goes to no place.
-_SHOWN_M = 0.5
+#: Never quite sure that it is none of the places, nor that it is one of them, so that all shares stay defined.
+_MOST_LOG_ODDS = 20.0
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,8 @@ class GoalConfig:
         unknown_prior: how often a reach goes to none of the places, before anything is seen. A judgement, not learned,
             and the same as the reach forest's.
         n_postures: postures of each motion that are learned from, evenly spaced.
-        apart_m: places nearer to each other than this are not told apart when learning: people are no more exact.
+        apart_m: places nearer to each other than this are not told apart: people are no more exact. Neither in
+            learning nor as one that was told and one that was not.
     """
 
     unknown_prior: float = 0.2
@@ -56,7 +58,6 @@ class GoalModel:
 
     Attributes:
         weights: (N_PARTS,) not negative, of `PARTS`: 1/m, but the headings', which have no unit.
-        unknown: (2,) of ln(odds of no goal), see `PRIOR_UNKNOWN`; the first not positive, the second not negative.
         n_motions: how many motions were learned from; 0 if the weights are the prior ones.
         ends: in which posture reaches end, which makes best reaches of the whole body known; None if unknown.
 
@@ -65,24 +66,19 @@ class GoalModel:
     """
 
     weights: FloatArray
-    unknown: FloatArray
     n_motions: int = 0
     ends: EndPostures | None = None
 
     def __post_init__(self) -> None:
         weights = checked("goal weights", self.weights, (N_PARTS,))
-        unknown = checked("weights of no goal", self.unknown, (2,))
         if (weights < 0).any():
             raise ArrayError(f"goal weights: wanted none negative, got {weights}; excess costs cannot be gains")
-        if unknown[0] > 0 or unknown[1] < 0:
-            raise ArrayError(f"weights of no goal: wanted one not positive and one not negative, got {unknown}")
         object.__setattr__(self, "weights", frozen(weights))
-        object.__setattr__(self, "unknown", frozen(unknown))
 
     @classmethod
     def prior(cls) -> GoalModel:
         """Return the model before anything is learned; usable, and not far from what libraries teach."""
-        return cls(PRIOR_WEIGHTS, PRIOR_UNKNOWN)
+        return cls(PRIOR_WEIGHTS)
 
     def log_likelihood(
         self, rows: FloatArray, places_m: FloatArray, best: Sequence[FloatArray] | None = None
@@ -91,31 +87,21 @@ class GoalModel:
         log_likelihood: FloatArray = -(excess_costs(rows, places_m, best) @ self.weights)
         return log_likelihood
 
-    def unknown_log_odds(self, log_likelihood: FloatArray, reached_m: FloatArray) -> FloatArray:
-        """Return (N,) by how much the reaches speak for no goal: ln P(reach | none) / P(reach | one of the places).
-
-        Args:
-            log_likelihood: (N, G) of the places, equally probable beforehand.
-            reached_m: (N,) how far the hand has been from its start.
-        """
-        odds: FloatArray = unknown_inputs(log_likelihood, reached_m) @ self.unknown
-        return odds
-
-    def posterior(
-        self, row: FloatArray, places_m: FloatArray, unknown_prior: float, best: Sequence[FloatArray] | None = None
-    ) -> tuple[FloatArray, float]:
-        """Return ln P(reach so far | place) (G,) and P(none of the places | reach so far) for one row (N_COLUMNS,)."""
-        log_likelihood = self.log_likelihood(row[None], places_m, best)
-        log_odds = float(self.unknown_log_odds(log_likelihood, row[None, REACHED_M])[0])
-        log_odds += float(np.log(unknown_prior / (1.0 - unknown_prior)))
-        # Never quite sure of it, so that the goals' shares stay defined.
-        return log_likelihood[0], float(1.0 / (1.0 + np.exp(-np.clip(log_odds, -20.0, 20.0))))
+    @cached_property
+    def untold(self) -> UntoldPlaces | None:
+        """Where hands go that nobody told of; None if it is not known where they go at all."""
+        return None if self.ends is None else UntoldPlaces.around_ends(self.ends)
 
 
-def unknown_inputs(log_likelihood: FloatArray, reached_m: FloatArray) -> FloatArray:
-    """Return (N, 2) what the odds of no goal are linear in: both 0 until the hand moves, when nothing can be said."""
-    best = log_likelihood.max(axis=1)
-    mean = best + np.log(np.exp(log_likelihood - best[:, None]).mean(axis=1))
-    shown = np.minimum(reached_m / _SHOWN_M, 1.0)
-    inputs: FloatArray = np.column_stack([shown, shown * np.sqrt(np.maximum(-mean, 0.0))])
-    return inputs
+def unknown_probability(told: FloatArray, untold: FloatArray, prior: float) -> float:
+    """Return P(none of the told places | reach so far).
+
+    Args:
+        told: (G,) ln of P(place) P(reach so far | place) of the places told, given that it is one of them.
+        untold: (M,) the same of places that stand for all others, given that it is one of those; may be none.
+        prior: probability that it is none of the told ones, before anything was seen.
+    """
+    log_odds = -_MOST_LOG_ODDS
+    if len(untold):
+        log_odds = float(np.log(prior / (1.0 - prior)) + np.logaddexp.reduce(untold) - np.logaddexp.reduce(told))
+    return float(1.0 / (1.0 + np.exp(-np.clip(log_odds, -_MOST_LOG_ODDS, _MOST_LOG_ODDS))))

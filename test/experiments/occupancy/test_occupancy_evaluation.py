@@ -29,6 +29,7 @@ from humanpred_ros.occupancy.grid import Occupancy
 from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.predictors.folds import FoldSettings, LeaveOneOut
+from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
 from humanpred_ros.recognition.gmm_config import GmmConfig
 
 HUMAN = HumanModel.kinect12()
@@ -222,6 +223,47 @@ def test_who_never_saw_the_class_stands_beside_who_learned_it() -> None:
     assert f"its Brier score is {ratio:.2f} times as large (target: no worse, 1.00)" in text.getvalue()
     assert "learned from no motion of the tested motion's class; it is told the places" in text.getvalue()
     assert evaluated(predictors=("current",), every=12).unseen_beside_seen is None
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_who_is_told_places_is_also_judged_without_having_been_told() -> None:
+    evaluation = evaluated(predictors=("current", "reaching"), every=5, percents=(50, 80))
+    now, told = evaluation.predictors
+    assert now.untold is None
+    assert now.untold_at_percent is None
+    assert told.untold is not None
+    assert told.untold_at_percent is not None
+    np.testing.assert_array_equal(told.untold_at_percent.n_swept, told.at_percent.n_swept)
+    assert float(told.untold.brier) == pytest.approx(told.untold_at_percent.brier.mean())
+    # Its place is worth knowing; a reach that goes elsewhere is still better than none.
+    assert float(told.average.brier) < float(told.untold.brier) < float(now.average.brier)
+    assert evaluation.to_json()["predictors"][1]["untold"]["brier"] == float(told.untold.brier)
+    text = io.StringIO()
+    print_occupancy_evaluation(evaluation, Console(file=text, width=200))
+    assert f"{1e3 * float(told.untold.brier):.2f}" in text.getvalue()
+    # Two rows of averages, two along the motion.
+    assert text.getvalue().count("place not told ") == 4
+    text = io.StringIO()
+    print_occupancy_evaluation(evaluated(predictors=("current",), every=12), Console(file=text, width=200))
+    assert "not told" not in text.getvalue()
+
+
+def test_the_place_that_is_not_told_is_the_tested_motions_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[tuple[int, ...]] = []
+    played = occupancy_runs._played
+
+    def noted(predictor: ReachingPredictor, *rest: Any) -> MotionOutcome:
+        shown.append(predictor.goals.labels)
+        return played(predictor, *rest)
+
+    monkeypatch.setattr(occupancy_runs, "_played", noted)
+    runs = LeftOutMotions(["reaching"], library(), setup(percents=(10, 40)))
+    (first,), (second,) = runs("10/1"), runs("20/1")
+    assert shown == [(0, 10, 20), (0, 20), (0, 10, 20), (0, 10)]
+    for outcome in (first, second):
+        assert outcome.untold is not None
+        assert [score.n_swept for score in outcome.untold] == [score.n_swept for score in outcome.scores]
+        assert [score.brier for score in outcome.untold] != [score.brier for score in outcome.scores]
 
 
 @pytest.mark.usefixtures("in_this_process")

@@ -27,6 +27,7 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.placement import placed, turn_and_shift
 from humanpred_ros.reaching.goals.inference import GoalClassifier, GoalModel, GoalPlaces
+from humanpred_ros.reaching.goals.untold import UntoldPlaces
 from humanpred_ros.recognition.stream import StreamClassifier
 
 HUMAN = HumanModel.kinect12()
@@ -189,9 +190,44 @@ def test_a_single_goal_is_meant_or_none() -> None:
     goals = fitted().goals
     assert goals is not None
     only = GoalPlaces((0,), goals.place(0)[None])
-    towards, elsewhere = answers(fresh(only), unseen(0)), answers(fresh(only), unseen(1))
+    towards, elsewhere = answers(fresh(only), unseen(0)), answers(fresh(only), unseen(2))
     np.testing.assert_allclose(towards.sum(axis=1), 1.0, atol=1e-9)
-    assert towards[34, 1] < 0.2 < elsewhere[34, 1]
+    assert towards[34, 1] < 0.1
+    assert elsewhere[34, 1] > 0.8
+
+
+@pytest.mark.parametrize("learned", [True, False])
+def test_a_place_nobody_told_of_and_nobody_reached_for_is_none_of_them(learned: bool) -> None:
+    goals = fitted().goals
+    assert goals is not None
+    ends = fitted().model.ends
+    assert ends is not None
+    # A shelf: 0.4 m above the highest place anybody reached for.
+    shelf = np.array([0.5, -0.3, goals.places_m[:, 2].max() + 0.4])
+    start = unseen(0).q[0]
+    phase = np.linspace(0.0, 1.0, 50)[:, None]
+    q = start + phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2) * (ends.mean(start, shelf) - start)
+    classifier = fresh() if learned else GoalClassifier(HUMAN, goals=goals)
+    p = answers(classifier, Motion(np.arange(37) / 30.0, q[:37], unseen(0).dof_names))
+    assert p[30, 4] > 0.5
+    assert p[36, 4] > 0.8
+    there = classifier.elsewhere(16)
+    assert there.shape == (16, 3)
+    assert np.median(there[:, 2]) > goals.places_m[:, 2].max() + 0.15
+    apart = np.linalg.norm(there[:, None] - goals.places_m, axis=2)
+    assert apart.min() >= classifier.config.apart_m, "a place that was told is none that was not"
+
+
+def test_with_places_told_everywhere_there_is_nothing_elsewhere() -> None:
+    motion = unseen(1)
+    side = np.linspace(-1.3, 1.3, 22)
+    grid = np.stack(np.meshgrid(side + 0.5, side - 0.3, side + 0.6, indexing="ij"), axis=-1).reshape(-1, 3)
+    classifier = fresh()
+    classifier._untold = UntoldPlaces(HUMAN, np.array([[0.6, 0.0, 0.0], [0.7, 0.2, 0.0]]), np.full(2, 0.5))
+    classifier.set_goals(GoalPlaces(tuple(range(len(grid))), grid))
+    p = answers(classifier, Motion(motion.t_s[:4], motion.q[:4], motion.dof_names))
+    assert (p[:, -1] < 1e-6).all()
+    assert classifier.elsewhere(16).shape == (0, 3)
 
 
 def test_goals_in_nearly_the_same_place_share_what_one_would_get() -> None:
@@ -281,7 +317,7 @@ def test_weights_serve_another_human_and_end_postures_do_not() -> None:
     model = fitted().model
     with pytest.raises(HumanModelError, match="weights alone"):
         GoalClassifier(MOCAP, model=model)
-    assert GoalClassifier(MOCAP, model=GoalModel(model.weights, model.unknown)).model.ends is None
+    assert GoalClassifier(MOCAP, model=GoalModel(model.weights)).model.ends is None
 
 
 def test_people_seen_by_motion_capture_reach_for_goals_too() -> None:

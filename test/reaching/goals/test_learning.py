@@ -17,14 +17,12 @@ from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.reaching.goals.features import N_PARTS, PARTS, REACHED_M, excess_costs
 from humanpred_ros.reaching.goals.learning import (
     ReachLesson,
-    _Choice,
-    _fit_unknown,
     _fit_weights,
     fit_goal_model,
     learn_goal_model,
     reach_lessons,
 )
-from humanpred_ros.reaching.goals.model import PRIOR_UNKNOWN, PRIOR_WEIGHTS, GoalConfig, GoalModel, unknown_inputs
+from humanpred_ros.reaching.goals.model import PRIOR_WEIGHTS, GoalConfig, GoalModel, unknown_probability
 from humanpred_ros.reaching.goals.places import GoalPlaces
 
 HUMAN = HumanModel.kinect12()
@@ -46,7 +44,7 @@ def learned() -> GoalModel:
     return fit_goal_model(lessons(), HUMAN, CONFIG)
 
 
-def made_up_choices(weights: FloatArray, n_motions: int, seed: int, n_places: int = 5) -> list[_Choice]:
+def made_up_choices(weights: FloatArray, n_motions: int, seed: int, n_places: int = 5) -> list[FloatArray]:
     """Return motions, of one posture each, whose goals were chosen with just these weights."""
     rng = np.random.default_rng(seed)
     choices = []
@@ -55,7 +53,7 @@ def made_up_choices(weights: FloatArray, n_motions: int, seed: int, n_places: in
         p = np.exp(-costs[0] @ weights)
         k = rng.choice(n_places, p=p / p.sum())
         costs[:, [0, k]] = costs[:, [k, 0]]
-        choices.append(_Choice(costs, np.full(1, 0.5)))
+        choices.append(costs)
     return choices
 
 
@@ -76,8 +74,8 @@ def test_without_motions_weights_are_the_prior_ones_and_a_few_move_them_little()
 
 def test_posteriors_are_calibrated_when_people_choose_as_the_model_says() -> None:
     true = np.array([5.0, 20.0, 1.0, 3.0, 0.0, 25.0, 12.0])
-    model = GoalModel(_fit_weights(made_up_choices(true, 3000, 2)), PRIOR_UNKNOWN)
-    costs = np.concatenate([choice.costs for choice in made_up_choices(true, 3000, 3)])
+    model = GoalModel(_fit_weights(made_up_choices(true, 3000, 2)))
+    costs = np.concatenate(made_up_choices(true, 3000, 3))
     likelihood = np.exp(-(costs @ model.weights))
     p = likelihood / likelihood.sum(axis=1, keepdims=True)
     confidence, right = p.max(axis=1), p.argmax(axis=1) == 0
@@ -87,24 +85,20 @@ def test_posteriors_are_calibrated_when_people_choose_as_the_model_says() -> Non
             assert right[held].mean() == pytest.approx(confidence[held].mean(), abs=0.07)
 
 
-def test_known_goals_are_told_from_none_of_them() -> None:
-    rng = np.random.default_rng(4)
-    known = np.sort(rng.exponential(0.02, (300, 1, N_PARTS)), axis=0)
-    others = rng.uniform(0.1, 0.3, (300, 5, N_PARTS))
-    costs = np.concatenate([known, others], axis=1)
-    choices = [_Choice(each[None], np.full(1, 0.5)) for each in costs]
-    unknown = _fit_unknown(choices, PRIOR_WEIGHTS)
-    assert unknown[0] < 0 < unknown[1]
-    odds_known, odds_unknown = (
-        unknown_inputs(-(costs[:, first:] @ PRIOR_WEIGHTS), np.full(300, 0.5)) @ unknown for first in (0, 1)
-    )
-    assert np.median(odds_known) < 0 < np.median(odds_unknown)
+def test_none_of_the_places_is_as_probable_as_other_places_explain_the_reach_better() -> None:
+    def of(told: list[float], untold: list[float], prior: float) -> float:
+        """Of likelihoods, all places equally probable beforehand."""
+        shared = [np.log(likelihood) - np.log(len(likelihood)) for likelihood in (told, untold)]
+        return unknown_probability(shared[0], shared[1], prior)
 
-
-def test_before_the_hand_moves_nothing_is_said_about_no_goal() -> None:
-    inputs = unknown_inputs(np.array([[-3.0, -2.0], [-3.0, -2.0]]), np.array([0.0, 0.5]))
-    assert not inputs[0].any()
-    assert inputs[1].all()
+    spread = np.exp(np.linspace(-6.0, -0.1, 40)).tolist()
+    assert of([0.9, 0.05, 0.02], spread, 0.2) < 0.2 < of([0.1, 0.05, 0.02], spread, 0.2)
+    # Nothing seen: the prior. Bayes: odds are the prior ones times the ratio of the means.
+    assert of([1.0] * 3, [1.0] * 40, 0.3) == pytest.approx(0.3)
+    assert of([0.1, 0.3], [0.6, 0.2], 0.5) == pytest.approx(0.4 / 0.6)
+    # Whatever comes it stays a probability, less than 1 and more than 0; with no other places it is none of them.
+    assert 0.0 < unknown_probability(np.zeros(2), np.empty(0), 0.2) < 1e-6
+    assert 1.0 - 1e-6 < unknown_probability(np.full(2, -1e4), np.zeros(3), 0.2) < 1.0
 
 
 def test_true_goals_are_more_probable_than_by_the_prior_weights() -> None:
@@ -121,7 +115,7 @@ def test_true_goals_are_more_probable_than_by_the_prior_weights() -> None:
     model = learned()
     assert model.n_motions == 24
     assert (model.weights >= 0).all()
-    hand_only = GoalModel(np.where(np.array(PARTS) == "body", 0.0, model.weights), model.unknown)
+    hand_only = GoalModel(np.where(np.array(PARTS) == "body", 0.0, model.weights))
     assert log_loss(hand_only) < log_loss(GoalModel.prior()) + 0.02
     assert model.ends is not None
 
@@ -131,7 +125,9 @@ def test_nothing_is_learned_of_a_label_left_out() -> None:
     without = fit_goal_model(lessons(), HUMAN, CONFIG, without=(10,))
     anew = learn_goal_model(rest, HUMAN)
     np.testing.assert_allclose(without.weights, anew.weights, rtol=1e-6)
-    np.testing.assert_allclose(without.unknown, anew.unknown, rtol=1e-6)
+    assert without.ends is not None
+    assert anew.ends is not None
+    np.testing.assert_allclose(without.ends.seen, anew.ends.seen)
     assert without.n_motions == 18
     assert np.abs(without.weights - learned().weights).max() > 1e-3
 
@@ -178,19 +174,10 @@ def test_lessons_hold_what_was_reached() -> None:
         lesson.rows[0] = 0.0
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        (np.ones(3), PRIOR_UNKNOWN),
-        (-np.ones(N_PARTS), PRIOR_UNKNOWN),
-        (np.full(N_PARTS, np.nan), PRIOR_UNKNOWN),
-        (PRIOR_WEIGHTS, np.array([1.0, 1.0])),
-        (PRIOR_WEIGHTS, np.array([-1.0, -1.0])),
-    ],
-)
-def test_impossible_models_are_refused(arguments: tuple[FloatArray, FloatArray]) -> None:
+@pytest.mark.parametrize("weights", [np.ones(3), -np.ones(N_PARTS), np.full(N_PARTS, np.nan)])
+def test_impossible_models_are_refused(weights: FloatArray) -> None:
     with pytest.raises(ArrayError):
-        GoalModel(*arguments)
+        GoalModel(weights)
 
 
 @pytest.mark.parametrize(
