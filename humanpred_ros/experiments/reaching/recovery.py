@@ -37,8 +37,13 @@ _KNOWN_DISTANCES = (
     0.1, 8.0, 5.0, 8.0, 5.0, 1.0, 2.0, 5.0,
     5.0, 2.0, 5.0, 5.0, 5.0, 5.0, 5.0, 2.0,
 )  # fmt: skip
-#: Ways to learn that are compared.
-METHODS: Mapping[str, PiirlConfig] = MappingProxyType({how: LEARNING[how].piirl for how in (PUBLISHED, IMPROVED)})
+#: Ways to learn that are compared. Who is known to mind the partner's nearness can only be learned from with it.
+METHODS: Mapping[str, PiirlConfig] = MappingProxyType(
+    {
+        PUBLISHED: LEARNING[PUBLISHED].piirl,
+        f"{IMPROVED}, distances too": replace(LEARNING[IMPROVED].piirl, without=()),
+    }
+)
 
 
 @dataclass(frozen=True)

@@ -96,7 +96,10 @@ def weight_figures(
     """Return the figures of weights that were learned, by the names of `LEARNING`, beside the published ones."""
     deviation = feature_deviation(recordings, model, seed)
     columns = []
-    for how, text in ((PUBLISHED, "P2's way, all recordings"), (IMPROVED, "features normalised, no jumps")):
+    for how, text in (
+        (PUBLISHED, "P2's way, all recordings"),
+        (IMPROVED, "smoothness only, features normalised, no jumps"),
+    ):
         if how in learned:
             everything = learned[how].everything
             columns.append(

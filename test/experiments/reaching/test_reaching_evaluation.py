@@ -20,7 +20,8 @@ from humanpred_ros.experiments.reaching.entry import ReachingEntry, ReachingMate
 from humanpred_ros.experiments.reaching.evaluation import ReachingConfig, evaluate_reaching
 from humanpred_ros.experiments.reaching.predictors import REACHING_PREDICTORS
 from humanpred_ros.experiments.reaching.result import Statistic
-from humanpred_ros.motion.reach_recordings import Jump, load_reach_recordings
+from humanpred_ros.motion.motion import Motion
+from humanpred_ros.motion.reach_recordings import Jump, ReachRecording, load_reach_recordings
 from humanpred_ros.reaching.prediction.distances import ReachMetric
 from humanpred_ros.reaching.prediction.task import ReachTask
 from humanpred_ros.reaching.prediction.trivial import TimedLine, minimum_jerk
@@ -185,3 +186,63 @@ def test_on_the_papers_recordings_all_reference_values_come_out() -> None:
     written = evaluation.to_json()
     assert written["table1"]["2711-2823"] == [25.56, 45.69]
     assert "wrist_m" not in str(written)
+
+
+def rested(entry: ReachRecording, rest_s: float) -> ReachRecording:
+    """Return a recording whose people stand still for some time before it begins."""
+    rng, step_s = np.random.default_rng(len(entry.active)), 0.01
+    before = np.arange(round(rest_s / step_s)) * step_s
+
+    def longer(motion: Motion) -> Motion:
+        still = motion.q[0] + 0.0005 * rng.normal(size=(len(before), motion.q.shape[1]))
+        t_s = np.concatenate([before, motion.t_s - motion.t_s[0] + rest_s])
+        return dataclasses.replace(motion, t_s=t_s, q=np.concatenate([still, motion.q]))
+
+    return dataclasses.replace(entry, active=longer(entry.active), passive=longer(entry.passive), jumps=())
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda entries: [rested(entry, 1.0) for entry in entries],
+        lambda entries: entries[:3],
+    ],
+    ids=["a second of rest before", "three to learn from"],
+)
+def test_the_default_beats_minimum_jerk_on_recordings_of_another_kind(
+    change: Callable[[list[ReachRecording]], list[ReachRecording]],
+) -> None:
+    recordings = change(list(load_reach_recordings(shared_data("icra2015/demos"))))
+    config = ReachingConfig(predictors=("minimum_jerk", "improved"), runs=2)
+    found = evaluate_reaching(recordings, config=config, spread=in_turn).sets[0]
+    line, improved = (found.predictor(name) for name in config.predictors)
+    assert line is not None
+    assert improved is not None
+    assert improved.average.joint_m.mean < line.average.joint_m.mean
+    assert improved.average.task_m.mean < line.average.task_m.mean
+
+
+def test_recordings_with_jumps_are_learned_from_where_there_are_no_others(caplog: pytest.LogCaptureFixture) -> None:
+    jumping = [dataclasses.replace(entry, jumps=(Jump("active", 20, "right_wrist", 7.0),)) for entry in RECORDINGS]
+    one_fit = [RECORDINGS[0], *jumping[1:]]
+    config = ReachingConfig(predictors=("improved",), runs=1)
+    for entries in (jumping, one_fit):
+        demos = evaluate_reaching(entries, config=config, spread=in_turn).sets[0]
+        assert len(demos.predictors[0].recordings) == 3
+    assert "made_up_1, made_up_2: nothing else to learn from" in caplog.text
+
+
+def test_a_table_is_there_only_where_the_papers_stood() -> None:
+    far = np.zeros(23)
+    far[:2] = 20.0, -10.0
+    moved = [
+        dataclasses.replace(
+            entry,
+            active=dataclasses.replace(entry.active, q=entry.active.q + far),
+            passive=dataclasses.replace(entry.passive, q=entry.passive.q + far),
+        )
+        for entry in RECORDINGS
+    ]
+    config = ReachingConfig(predictors=("line",))
+    assert "table_top" in evaluate_reaching(RECORDINGS, config=config, spread=in_turn).settings["obstacles"]
+    assert evaluate_reaching(moved, config=config, spread=in_turn).settings["obstacles"] == []
