@@ -19,6 +19,17 @@ _NAMED = {
     "baseline_1": "smooth, equally afraid of all distances (P2's conservative baseline)",
     "authors_static": "mean of the weights that P2's authors learned, the tested reach among them",
 }
+#: What each is, how it is built, the way its weights are learned, and its group.
+_LEARNED: dict[str, tuple[str, Callable[..., ReachPredictor], str, str]] = {
+    "learned": ("P2: learned cost, straight line as first guess", planned_predictor, PUBLISHED, REPRODUCED),
+    "learned_near": (
+        "as learned, but bounded by how far a reach moves people, not by where they stood",
+        partial(planned_predictor, bounds=BoundsConfig(relative=True)), PUBLISHED, BETTER,
+    ),
+    DEFAULT_PREDICTOR: (
+        "learned cost of smoothness, better first guess, noise and bounds", improved_predictor, IMPROVED, BETTER
+    ),
+}  # fmt: skip
 
 
 def planned_entries() -> Iterator[tuple[str, ReachingEntry]]:
@@ -31,43 +42,24 @@ def planned_entries() -> Iterator[tuple[str, ReachingEntry]]:
         ),
     )  # fmt: skip
     for replanned in (False, True):
-        tail, how = ("_replanned", ", re-planned every 0.1 s") if replanned else ("", "")
-        yield (
-            "learned" + tail,
-            ReachingEntry(
-                "P2: learned cost, straight line as first guess" + how,
-                _learned(planned_predictor, PUBLISHED, replanned),
-                REPRODUCED, by_chance=True, replanned=replanned, learns=PUBLISHED,
-            ),
-        )  # fmt: skip
+        for name, (description, build, way, group) in _LEARNED.items():
+            default = "; the default" if name == DEFAULT_PREDICTOR and not replanned else ""
+            yield _entry(name, description + default, _learned(build, way, replanned), group, replanned, way)
         for name, description in _NAMED.items():
-            yield (
-                name + tail,
-                ReachingEntry(
-                    description + how, _named(name, replanned), REPRODUCED, by_chance=True, replanned=replanned
-                ),
-            )
-    near = partial(planned_predictor, bounds=BoundsConfig(relative=True))
-    for replanned in (False, True):
-        tail, how = ("_replanned", ", re-planned every 0.1 s") if replanned else ("", "")
-        yield (
-            "learned_near" + tail,
-            ReachingEntry(
-                "as learned, but bounded by how far a reach moves people, not by where they stood" + how,
-                _learned(near, PUBLISHED, replanned),
-                BETTER, by_chance=True, replanned=replanned, learns=PUBLISHED,
-            ),
-        )  # fmt: skip
-    for replanned in (False, True):
-        tail, how = ("_replanned", ", re-planned every 0.1 s") if replanned else ("", "; the default")
-        yield (
-            "improved" + tail,
-            ReachingEntry(
-                "learned cost of smoothness, better first guess, noise and bounds" + how,
-                _learned(improved_predictor, IMPROVED, replanned),
-                BETTER, by_chance=True, replanned=replanned, learns=IMPROVED,
-            ),
-        )  # fmt: skip
+            yield _entry(name, description, _named(name, replanned), REPRODUCED, replanned)
+
+
+def _entry(
+    name: str,
+    description: str,
+    prepare: Callable[[ReachingMaterial], Without],
+    group: str,
+    replanned: bool,
+    learns: str | None = None,
+) -> tuple[str, ReachingEntry]:
+    tail, how = ("_replanned", ", re-planned every 0.1 s") if replanned else ("", "")
+    entry = ReachingEntry(description + how, prepare, group, by_chance=True, replanned=replanned, learns=learns)
+    return name + tail, entry
 
 
 def _own(material: ReachingMaterial) -> Without:
