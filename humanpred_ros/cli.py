@@ -203,7 +203,10 @@ _EXPERIMENTS = {
     "bench": (
         "measure how long things take",
         {
-            "predictor": ("predictor_bench.command", "microseconds per posture, what they grow with, and occupancies a second over DDS on one core"),
+            "predictor": (
+                "predictor_bench.command",
+                "microseconds per posture, what they grow with, and occupancies a second over DDS on one core",
+            ),
             "planner": ("planner_bench.command", "milliseconds per goal beside the C++ floor and NumPy"),
             "graph": ("graph_bench.command", "posture to trajectory over DDS at 30 Hz, per number of goals"),
         },

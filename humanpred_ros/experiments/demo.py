@@ -13,7 +13,7 @@ from pathlib import Path
 from rich.console import Console
 
 from humanpred_ros import __version__
-from humanpred_ros.errors import UsageError
+from humanpred_ros.errors import LibraryFormatError, UsageError
 from humanpred_ros.experiments.processes import NodeGroup, NodeProcess, ParameterValue, free_domain_id
 from humanpred_ros.human.named import human_with, name_of_human
 from humanpred_ros.motion.bag_library import write_library_bag
@@ -135,6 +135,11 @@ def training_part(library: MotionLibrary, replayed: Motion, hold_out: int) -> Mo
     """
     held_out = {motion.name for label in library.labels for motion in library.of_class(label)[:hold_out]}
     held_out.add(replayed.name)
+    if held_out >= {motion.name for motion in library}:
+        raise LibraryFormatError(
+            f"library {library.name}: wanted motions to train on, got none when the first {hold_out} of every class "
+            f"and {replayed.name} are held out; take a smaller --hold-out"
+        )
     return library.select(lambda motion: motion.name not in held_out)
 
 

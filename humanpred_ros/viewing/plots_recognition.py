@@ -67,7 +67,7 @@ def recognition_plot(
         _draw_unknown(axes, curves[k])
     if not speaking:
         panels[2].set_title("probability of no class")
-        note(panels[2], "no classifier here says\nanything about unknown motions")
+        note(panels[2], "no unknown motions were tried,\nor no classifier here\nsays anything about them")
     return figure
 
 

@@ -21,13 +21,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from humanpred_ros.checks import FloatArray
-from humanpred_ros.errors import LibraryFormatError, UsageError
+from humanpred_ros.errors import UsageError
 from humanpred_ros.experiments.evaluation_files import library_facts, machine_facts
 from humanpred_ros.experiments.evaluation_grid import grid_around, swept_region
 from humanpred_ros.experiments.occupancy.result import OccupancyEvaluation, PredictorResult
 from humanpred_ros.experiments.occupancy.runs import ENDS, LeftOutMotions, OccupancySetup
 from humanpred_ros.experiments.occupancy.scores import LOG_CLIP, MISSED_BELOW
 from humanpred_ros.experiments.parallel import map_processes
+from humanpred_ros.experiments.recognition.needs import LEARNS_CLASSES, LEARNS_FROM_OTHERS, Needs, check_needs
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.human.named import human_with
 from humanpred_ros.motion.cleaning import DROP_REASONS, flag_library
@@ -35,7 +36,7 @@ from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.motion.placement import placed, start_pelvis_m, turn_and_shift
 from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
-from humanpred_ros.predictors.factory import PREDICTORS, needs_model
+from humanpred_ros.predictors.factory import PREDICTORS, needs_model, uses_classifier
 from humanpred_ros.recognition.class_mixtures import check_trainable
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.registry import make_classifier
@@ -127,8 +128,8 @@ def evaluate_occupancy(
     flags = [flag for flag in flag_library(library, model=human) if flag.reason in DROP_REASONS]
     wrong = frozenset(flag.motion for flag in flags)
     mistracked = tuple(name for name in tested if name in wrong)
-    if any(needs_model(name) for name in config.predictors):
-        _check_leave_one_out(library.select(lambda m: m.name not in wrong) if config.clean_training else library)
+    taught = library.select(lambda m: m.name not in wrong) if config.clean_training else library
+    _check_leave_one_out(taught, config.predictors)
     grid, T_world_human = _space(library, config, human, {flag.motion for flag in flags if flag.reason == "wild"})
     T_shift = turn_and_shift(config.turn_rad, (*config.shift_m, 0.0), start_pelvis_m(library))
     moved = MotionLibrary(library.name, tuple(placed(motion, T_shift) for motion in library))
@@ -174,15 +175,19 @@ def tested_motions(library: MotionLibrary, config: OccupancyEvaluationConfig) ->
     return tuple(motion.name for motion in ordered[:: config.every])
 
 
-def _check_leave_one_out(library: MotionLibrary) -> None:
-    """Raise LibraryFormatError unless every class can be learned without one of its motions."""
-    check_trainable(library)
-    for label in library.labels:
-        if len(library.of_class(label)) < 3:
-            raise LibraryFormatError(
-                f"library {library.name}: wanted at least three motions in every class to leave one out, class "
-                f"{label} has {len(library.of_class(label))}; record more or leave the class out"
-            )
+def _check_leave_one_out(library: MotionLibrary, predictors: Sequence[str]) -> None:
+    """Raise LibraryFormatError unless each of the predictors can learn without any one motion."""
+    needs = {name: _needs_of(name) for name in predictors}
+    check_needs(library, needs, "--predictor")
+    if any(need is not None for need in needs.values()):
+        check_trainable(library)
+
+
+def _needs_of(predictor: str) -> Needs | None:
+    """Return what a library must have for a predictor to be tested on motions left out of it; None of baselines."""
+    if not needs_model(predictor):
+        return None
+    return LEARNS_CLASSES if uses_classifier(predictor) else LEARNS_FROM_OTHERS
 
 
 def _space(

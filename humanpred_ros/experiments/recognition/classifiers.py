@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import TypeAlias
 
 from humanpred_ros.errors import UsageError
+from humanpred_ros.experiments.recognition.needs import LEARNS_CLASSES, LEARNS_FROM_OTHERS, Needs
 from humanpred_ros.reaching.goals.inference import GoalClassifier
 from humanpred_ros.reaching.goals.model import GoalConfig
 from humanpred_ros.recognition.classifier import IntentClassifier
@@ -39,6 +40,11 @@ def make_evaluated(name: str, config: ClassifierConfig | None = None) -> IntentC
     if isinstance(config, GoalConfig):
         raise UsageError(f"classifier {name}: wanted its own settings, got {type(config).__name__}")
     return make_classifier(name, config)
+
+
+def needs_of(name: str) -> Needs:
+    """Return what a library must have for a classifier to be tested on motions left out of it."""
+    return LEARNS_FROM_OTHERS if name == REACHING else LEARNS_CLASSES
 
 
 def learned_of_class(name: str) -> str:

@@ -28,7 +28,7 @@ from humanpred_ros.experiments.recognition.reference import (
     reference_beside,
 )
 from humanpred_ros.experiments.recognition.result import ClassifierResult, RecognitionEvaluation
-from humanpred_ros.experiments.recognition.runs import ClassifierChoice, check_evaluable
+from humanpred_ros.experiments.recognition.runs import ClassifierChoice, check_evaluable, unknown_left_out
 from humanpred_ros.experiments.recognition.tables import print_evaluation
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.recognition.forest_config import ForestConfig
@@ -70,7 +70,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
     choices = _choices(options)
     config = EvaluationConfig(_speeds(options.speeds), not options.no_unknown, options.seed, options.jobs)
     path, library = read_library(options)
-    check_evaluable(library, config.with_unknown)
+    check_evaluable(library, [choice.name for choice in choices])
     reference = _reference(options.reference, path)
     advice = advice_beside(path, library.name)
     evaluation = RecognitionEvaluation(
@@ -85,6 +85,7 @@ def run(options: argparse.Namespace, console: Console) -> int:
         machine=machine_facts(),
         reference=reference,
         classifiers=tuple(_evaluate(choices, library, config, reference, advice, console)),
+        unknown_left_out=unknown_left_out(library) if config.with_unknown else None,
     )
     print_evaluation(evaluation, console)
     outputs.write(console, evaluation.to_json(), lambda path: _save_plot(evaluation, path))

@@ -23,6 +23,7 @@ from humanpred_ros.experiments.recognition.runs import (
     Trace,
     check_evaluable,
     tasks_for,
+    unknown_left_out,
 )
 from humanpred_ros.experiments.recognition.scores import (
     BoolArray,
@@ -55,7 +56,7 @@ class EvaluationConfig:
 
     Attributes:
         speeds: factors of the recorded speed; 1 need not be among them.
-        with_unknown: leave out each class in turn, too.
+        with_unknown: leave out each class in turn, too, if there are classes enough.
         seed: of the floors of the calibration errors; a classifier has its own in its settings.
         jobs: number of processes; changes times only.
 
@@ -74,6 +75,10 @@ class EvaluationConfig:
         if self.seed < 0:
             raise UsageError(f"seed: wanted a number of at least 0, got {self.seed}")
 
+    def leaves_out_classes(self, library: MotionLibrary) -> bool:
+        """Return whether classes are left out of this library: wanted, and possible."""
+        return self.with_unknown and unknown_left_out(library) is None
+
     @property
     def further_speeds(self) -> tuple[float, ...]:
         """The speeds other than the recorded one, each once, ascending."""
@@ -91,6 +96,8 @@ def evaluate_classifier(
 ) -> ClassifierResult:
     """Leave out each motion, and each class, in turn; return what the classifier said about them as figures.
 
+    No class is left out of two, which would leave nothing to tell apart.
+
     A classifier sees a left-out motion as a sensor would show it: posture by posture, with stamps; it is not told how
     long the motion is going to last. Goal inference learns from no motion of a left-out motion's class, and is told the
     class's place; with the class left out, it is not told the place either.
@@ -105,14 +112,14 @@ def evaluate_classifier(
         progress: called with the number of tasks done, of `n_tasks`.
 
     Raises:
-        LibraryFormatError: too few classes or motions, or what the classifier cannot learn.
+        LibraryFormatError: too few classes or motions for this classifier, or what the classifier cannot learn.
         MotionError: a speed at which less than two postures are left of a motion.
         UsageError: an unknown classifier.
     """
     begun = time.perf_counter()
-    check_evaluable(library, config.with_unknown)
+    check_evaluable(library, [choice.name])
     choice.make()  # an unknown name shows before any process is started
-    tasks = tasks_for(library, config.with_unknown)
+    tasks = tasks_for(library, config.leaves_out_classes(library))
     outcomes = map_processes(LeftOutRuns(choice, library, config.further_speeds), tasks, config.jobs, progress)
     n_classes = len(tasks) - len(library)
     motions, classes = outcomes[n_classes:], outcomes[:n_classes]
@@ -142,7 +149,7 @@ def evaluate_classifier(
         unknown_on_known={percent: float(unknown[:, percent - 1].mean()) for percent in _UNKNOWN_AT},
         unknown_quartiles=quartiles(unknown),
         speeds=tuple(_speed_scores(config.further_speeds, motions, truth, rate)),
-        unknown=unknown_score(_by_class(tasks, classes), unknown) if config.with_unknown else None,
+        unknown=unknown_score(_by_class(tasks, classes), unknown) if n_classes else None,
         groups=tuple(_group_scores(library, right, advice or {})),
         refused_postures=sum(trace.refused for trace in recorded),
         timing=_timing(outcomes, recorded, begun),
@@ -151,7 +158,7 @@ def evaluate_classifier(
 
 def n_tasks(library: MotionLibrary, config: EvaluationConfig) -> int:
     """Return how many tasks the evaluation of one classifier has."""
-    return len(tasks_for(library, config.with_unknown))
+    return len(tasks_for(library, config.leaves_out_classes(library)))
 
 
 def _speed_scores(

@@ -117,7 +117,7 @@ class ClassifierResult:
         unknown_on_known: mean probability of no class at 10, 30, 60 and 90 % of motions of known classes.
         unknown_quartiles: (3, 100) its quartiles over them.
         speeds: further speeds.
-        unknown: motions of classes never learned; None if not asked for.
+        unknown: motions of classes never learned; None if not asked for, or with too few classes.
         groups: parts of the motions that somebody has flagged, if the library has such flags.
         refused_postures: how many postures of the left-out motions the classifier refused.
         timing: times.
@@ -156,6 +156,7 @@ class RecognitionEvaluation:
         machine: what times depend on.
         reference: the published curve, if there is one.
         classifiers: in the order asked for.
+        unknown_left_out: why no class was left out whole though that was asked for; None if it was done or not asked.
     """
 
     library: Mapping[str, Any]
@@ -164,6 +165,7 @@ class RecognitionEvaluation:
     machine: Mapping[str, Any]
     reference: ReferenceCurve | None
     classifiers: tuple[ClassifierResult, ...]
+    unknown_left_out: str | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return all of it as JSON knows it."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from copy import deepcopy
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -12,15 +12,16 @@ from typing import Any
 import numpy as np
 
 from humanpred_ros.checks import FloatArray
-from humanpred_ros.errors import HumanPredError, LibraryFormatError
-from humanpred_ros.experiments.recognition.classifiers import ClassifierConfig, make_evaluated
+from humanpred_ros.errors import HumanPredError
+from humanpred_ros.experiments.recognition.classifiers import ClassifierConfig, make_evaluated, needs_of
+from humanpred_ros.experiments.recognition.needs import check_needs
 from humanpred_ros.experiments.recognition.scores import IntArray, percent_indices
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.resampling import resample
 from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
 
-#: With one of three left out, two are left: the least any classifier learns a class from.
-LEAST_MOTIONS_PER_CLASS = 3
+#: With one of three left out, two are left: the least that anybody can tell apart.
+LEAST_CLASSES_FOR_UNKNOWN = 3
 #: The whole library is fitted again, for the timing, until this much time has passed.
 _FIT_TIMING_S = 1.0
 _MOST_FITS = 5
@@ -199,24 +200,17 @@ def tasks_for(library: MotionLibrary, with_unknown: bool) -> list[Task]:
     return classes + [LeftOutMotion(motion.name) for motion in library]
 
 
-def check_evaluable(library: MotionLibrary, with_unknown: bool) -> None:
-    """Raise LibraryFormatError unless each motion, and each class if that is wanted, can be left out."""
-    unlabelled = [motion.name for motion in library if motion.label is None]
-    if unlabelled:
-        raise LibraryFormatError(
-            f"library {library.name}: wanted a class for every motion, {unlabelled[0]} and {len(unlabelled) - 1} more "
-            "have none; label them or leave them out"
-        )
-    least = 3 if with_unknown else 2
-    if len(library.labels) < least:
-        raise LibraryFormatError(
-            f"library {library.name}: wanted at least {least} classes, so that two are left to tell apart, got "
-            f"{len(library.labels)}" + ("; try without the unknown motions" if with_unknown else "")
-        )
-    for label in library.labels:
-        count = len(library.of_class(label))
-        if count < LEAST_MOTIONS_PER_CLASS:
-            raise LibraryFormatError(
-                f"library {library.name}: wanted at least {LEAST_MOTIONS_PER_CLASS} motions in every class to leave "
-                f"one out, class {label} has {count}; record more or leave the class out"
-            )
+def unknown_left_out(library: MotionLibrary) -> str | None:
+    """Return why no class of a library can be left out whole, in words; None if each can."""
+    n = len(library.labels)
+    if n >= LEAST_CLASSES_FOR_UNKNOWN:
+        return None
+    return (
+        f"leaving out a whole class takes at least {LEAST_CLASSES_FOR_UNKNOWN}, so that two are left to tell apart; "
+        f"{library.name} has {n}"
+    )
+
+
+def check_evaluable(library: MotionLibrary, classifiers: Iterable[str]) -> None:
+    """Raise LibraryFormatError unless each motion can be left out for each of these classifiers (names)."""
+    check_needs(library, {name: needs_of(name) for name in classifiers}, "--classifier")

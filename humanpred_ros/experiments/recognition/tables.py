@@ -14,7 +14,7 @@ from humanpred_ros.experiments.recognition.evaluation import REFUSAL_THRESHOLD
 from humanpred_ros.experiments.recognition.result import ClassifierResult, RecognitionEvaluation
 from humanpred_ros.experiments.recognition.scores import CurveFigures
 from humanpred_ros.experiments.target import targets_table
-from humanpred_ros.experiments.text import headline
+from humanpred_ros.experiments.text import headline, line
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 
 _Row = tuple[str, Callable[[ClassifierResult], str], Callable[[CurveFigures], str] | None]
@@ -27,8 +27,9 @@ _LEGEND = (
 )
 _LEGEND_REACHING = (
     f"{REACHING} never saw any motion of the class it is tested on, only where its other motions go; the others "
-    f"learned from the class's other motions. Unknown motions: {REACHING} is not given the place."
+    "learned from the class's other motions."
 )
+_LEGEND_UNKNOWN = f" Unknown motions: {REACHING} is not given the place."
 
 
 def print_evaluation(evaluation: RecognitionEvaluation, console: Console) -> None:
@@ -38,8 +39,11 @@ def print_evaluation(evaluation: RecognitionEvaluation, console: Console) -> Non
     headline(console, f"{library['name']}: each of {library['n_motions']} motions left out in turn")
     console.print(_figures_table(evaluation))
     console.print(_LEGEND, style="dim", markup=False, highlight=False)
+    if evaluation.unknown_left_out is not None:
+        line(console, f"Without unknown motions: {evaluation.unknown_left_out}.")
     if any(result.name == REACHING for result in results):
-        console.print(_LEGEND_REACHING, style="dim", markup=False, highlight=False)
+        unknown = any(result.unknown is not None for result in results)
+        console.print(_LEGEND_REACHING + _LEGEND_UNKNOWN * unknown, style="dim", markup=False, highlight=False)
     if evaluation.targets:
         console.print(targets_table(evaluation.targets))
     headline(console, f"{shown.name}: true class (rows) taken for, at 60 % of the motion")

@@ -276,6 +276,23 @@ def test_the_human_is_the_one_whose_dofs_the_library_has() -> None:
 
 
 @pytest.mark.usefixtures("in_this_process")
+def test_two_motions_to_each_of_two_places_are_enough_to_learn_how_people_reach() -> None:
+    config = OccupancyEvaluationConfig(predictors=("current", "reaching"), percents=(30, 60))
+    now, told = evaluate_occupancy(small_library(2, 2, 30, there_and_back=True), config).predictors
+    assert len(told.motions) == 4
+    assert told.untold is not None
+    assert float(told.average.brier) < float(now.average.brier)
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_a_motion_that_is_there_twice_is_refused_by_who_learns() -> None:
+    first, second, *others = small_library(2, 3, 20).motions
+    twice = MotionLibrary("twice", (first, second.with_postures(first.q), *others))
+    with pytest.raises(LibraryFormatError, match="every motion once"):
+        evaluate_occupancy(twice, OccupancyEvaluationConfig(predictors=("reaching",)))
+
+
+@pytest.mark.usefixtures("in_this_process")
 def test_until_the_apex_there_is_less_to_sweep() -> None:
     whole, reach = evaluated(predictors=("current",)), evaluated(predictors=("current",), until="apex")
     assert float(reach.predictors[0].average.n_swept) < float(whole.predictors[0].average.n_swept)
@@ -334,8 +351,11 @@ def test_impossible_wishes_are_named(changes: dict[str, Any], text: str) -> None
 
 @pytest.mark.usefixtures("in_this_process")
 def test_a_class_too_small_is_named_before_any_work() -> None:
-    with pytest.raises(LibraryFormatError, match="at least three"):
-        evaluate_occupancy(small_library(2, 2, 20), OccupancyEvaluationConfig(gmm=GMM))
+    small = small_library(2, 2, 20)
+    with pytest.raises(LibraryFormatError, match=r"for swept_volume at least 3 .* --predictor current,reaching$"):
+        evaluate_occupancy(small, OccupancyEvaluationConfig(("current", "swept_volume", "reaching"), gmm=GMM))
+    with pytest.raises(LibraryFormatError, match=r"for reaching at least 2 motions in every class"):
+        evaluate_occupancy(small_library(3, 1, 20), OccupancyEvaluationConfig(("reaching",)))
     # The baselines learn nothing and do not mind.
     alone = evaluate_occupancy(small_library(1, 1, 20), OccupancyEvaluationConfig(predictors=("current",)))
     assert alone.tested == ("0/0",)

@@ -14,7 +14,7 @@ from paths import shared_data
 from rich.console import Console
 from small_library import small_library
 
-from humanpred_ros.errors import HumanPredError
+from humanpred_ros.errors import HumanPredError, LibraryFormatError
 from humanpred_ros.experiments.recognition.command import add_arguments, run
 from humanpred_ros.experiments.recognition.reference import advice_beside, read_reference, reference_beside
 from humanpred_ros.motion.bag_library import write_library_bag
@@ -143,3 +143,23 @@ def test_the_published_curve_has_the_published_figures() -> None:
     assert published is not None
     assert published.figures.first_50_percent == 43  # facts 0
     assert published.rate[[59, 79, 86]] == pytest.approx([0.84, 0.89, 0.92], abs=0.016)
+
+
+def test_of_two_classes_the_unknown_motions_are_left_out_and_that_is_said(tmp_path: Path) -> None:
+    write_csv_library(small_library(2, 2, 30, there_and_back=True), tmp_path / "small")
+    options = ("--classifier", "reaching", "--jobs", "1", "--speeds", "1")
+    json_file, plot_file = tmp_path / "figures.json", tmp_path / "figures.png"
+    printed = evaluate(tmp_path / "small", *options, "--json", str(json_file), "--plot", str(plot_file))
+    found = json.loads(json_file.read_text(encoding="utf-8"))
+    assert found["unknown_left_out"] in " ".join(printed.split())
+    assert "takes at least 3" in found["unknown_left_out"]
+    assert found["classifiers"][0]["unknown"] is None
+    assert np.sum(found["classifiers"][0]["confusion_at_60"]) == 4
+    assert plot_file.read_bytes().startswith(b"\x89PNG")
+    assert "Without unknown motions" not in evaluate(tmp_path / "small", *options, "--no-unknown")
+
+
+def test_who_cannot_learn_from_a_small_library_is_named_with_the_option_to_go_on(tmp_path: Path) -> None:
+    write_csv_library(small_library(2, 2, 30), tmp_path / "small")
+    with pytest.raises(LibraryFormatError, match=r"for forest and gmm .* class 0 has 2.* --classifier reaching$"):
+        evaluate(tmp_path / "small", "--jobs", "1")

@@ -14,6 +14,7 @@ from small_library import small_library
 from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import ArrayError, LibraryFormatError, MotionError, UsageError
 from humanpred_ros.experiments.evaluation_files import plain
+from humanpred_ros.experiments.recognition import evaluation as recognition_evaluation
 from humanpred_ros.experiments.recognition.evaluation import (
     EvaluationConfig,
     evaluate_classifier,
@@ -247,13 +248,26 @@ def test_what_cannot_be_evaluated_is_refused_before_any_work() -> None:
 
     with pytest.raises(LibraryFormatError, match="class 0 has 2"):
         evaluate_classifier(GMM, of(3, 2), CONFIG)
-    with pytest.raises(LibraryFormatError, match=r"at least 3 classes.*without the unknown"):
-        evaluate_classifier(GMM, of(2, 4), CONFIG)
+    with pytest.raises(LibraryFormatError, match=r"for gmm at least 2 classes to tell apart, got 1; record more$"):
+        evaluate_classifier(GMM, of(1, 4), CONFIG)
     unlabelled = MotionLibrary("mixed", (*of(3, 3).motions, replace(LIBRARY.motions[0], label=None)))
     with pytest.raises(LibraryFormatError, match="-/0 and 0 more have none"):
         evaluate_classifier(GMM, unlabelled, CONFIG)
     with pytest.raises(UsageError, match="nonesuch"):
         evaluate_classifier(ClassifierChoice("nonesuch"), LIBRARY, CONFIG)
+
+
+def test_of_two_classes_none_is_left_out_whole_and_all_else_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        recognition_evaluation, "map_processes", lambda run, tasks, jobs, progress: list(map(run, tasks))
+    )
+    two = small_library(n_classes=2, n_motions=2, n_frames=30, there_and_back=True)
+    found = evaluate_classifier(ClassifierChoice("reaching"), two, EvaluationConfig(speeds=(1.0,)))
+    assert found.unknown is None
+    assert n_tasks(two, EvaluationConfig()) == 4
+    assert found.confusion_at_60.sum() == 4
+    assert found.figures.rate_at_60 > 0.5
+    assert n_tasks(LIBRARY, EvaluationConfig()) == 12 + 3
 
 
 def test_what_a_classifier_cannot_learn_is_told_in_its_words() -> None:
