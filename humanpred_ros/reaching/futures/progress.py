@@ -18,6 +18,8 @@ _N_CALM = 3
 class ReachProgress:
     """Follows one reach, posture by posture; a fixed amount is remembered.
 
+    What nobody would believe (`goals.believing`) is best not shown to it: the farthest posture is never forgotten.
+
     Attributes:
         human: whose reach it is.
     """

@@ -28,6 +28,7 @@ from humanpred_ros.checks import FloatArray
 from humanpred_ros.compiled import exact
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
+from humanpred_ros.reaching.goals.believing import ANEW, FOUND, LEFT_OUT, Belief, judged
 from humanpred_ros.reaching.goals.best_reaches import distances_from
 from humanpred_ros.recognition.reach_features import (
     FAR,
@@ -69,33 +70,51 @@ _NEAR_M = 0.05
 class HandState(NamedTuple):
     """What is remembered of the reach under way: a fixed amount, however long it lasts."""
 
+    belief: Belief
+    before: FloatArray  # (2, P, 3) points of the last two postures, believed or not
     reach: ReachState
     features: FloatArray  # (N_FEATURES,) of `reach_features`
-    palm: FloatArray  # (3,) in the last posture, a lost frame forgiven
+    palm: FloatArray  # (3,) in the last posture believed, a lost frame forgiven
     velocity: FloatArray  # (3,) averaged, m/s
     peak_m_s: FloatArray  # (1,) the highest speed so far
-    last_s: FloatArray  # (1,) stamp of the last posture
+    last_s: FloatArray  # (1,) stamp of the last posture believed
 
     @classmethod
     def fresh(cls) -> HandState:
         """Return the state before the first posture."""
-        return cls(ReachState.fresh(), np.zeros(N_FEATURES), np.zeros(3), np.zeros(3), np.zeros(1), np.zeros(1))
+        reach, features = ReachState.fresh(), np.zeros(N_FEATURES)
+        before = np.zeros_like(reach.recent)
+        return cls(Belief.fresh(), before, reach, features, np.zeros(3), np.zeros(3), np.zeros(1), np.zeros(1))
 
 
 @exact
-def observe(state: HandState, points: FloatArray, t_s: float, row: FloatArray) -> None:
+def observe(state: HandState, points: FloatArray, t_s: float, row: FloatArray) -> int:
     """Take the points (P, 3) of one posture: changes `state` in place and fills `row` (N_COLUMNS,).
+
+    Returns what `believing` concludes: a posture LEFT_OUT leaves the row as it was; with ANEW the reach begins here.
 
     Args:
         state: of the reach so far.
         points: where the links of `reach_features.POINTS` are, tracker's frame.
         t_s: stamp, later than the one before.
-        row: what is known of the reach so far.
+        row: what is known of the reach so far; the same array with every posture of a reach.
     """
+    conclusion = judged(state.belief, points[0], t_s, state.reach.reached_m[0] > _BEGUN_M)
+    if conclusion == FOUND:
+        # The median of three is then of postures since the loss.
+        state.reach.recent[:] = state.before
+    state.before[1] = state.before[0]
+    state.before[0] = points
+    if conclusion == LEFT_OUT:
+        return conclusion
+    if conclusion == ANEW:
+        state.reach.n_seen[0] = 0
+        state.velocity[:] = 0.0
+        state.peak_m_s[0] = 0.0
     first = state.reach.n_seen[0] == 0
     features = state.features
     advance(state.reach, points, features)
-    if not first:
+    if not first and conclusion != FOUND:
         step_s = t_s - state.last_s[0]
         share = 1.0 - np.exp(-step_s / _VELOCITY_S)
         for a in range(3):
@@ -121,6 +140,7 @@ def observe(state: HandState, points: FloatArray, t_s: float, row: FloatArray) -
         row[LONG + a] = (1.0 - arrived) * features[HEADINGS + 3 * _LONG_ROPE + a]
     row[REACHED_M] = reached
     row[ARRIVED] = arrived
+    return conclusion
 
 
 @exact
@@ -182,12 +202,23 @@ def reach_so_far(motion: Motion, human: HumanModel) -> FloatArray:
     Raises:
         HumanModelError: a motion of another human, or one without the links that are followed.
     """
+    return _followed(motion, human)[0]
+
+
+def farthest_palm(motion: Motion, human: HumanModel) -> FloatArray:
+    """Return where (3,) a motion's palm was farthest from its start; raises as `reach_so_far`."""
+    farthest: FloatArray = _followed(motion, human)[1].reach.far[0].copy()
+    return farthest
+
+
+def _followed(motion: Motion, human: HumanModel) -> tuple[FloatArray, HandState]:
     human.check_dofs(motion.dof_names)
     points = np.ascontiguousarray(human.link_poses(motion.q)[:, point_links(human)][..., :3, 3])
-    state, rows = HandState.fresh(), np.empty((len(motion), N_COLUMNS))
-    for posture, t_s, row in zip(points, motion.t_s.tolist(), rows, strict=True):
+    state, rows, row = HandState.fresh(), np.empty((len(motion), N_COLUMNS)), np.zeros(N_COLUMNS)
+    for k, (posture, t_s) in enumerate(zip(points, motion.t_s.tolist(), strict=True)):
         observe(state, posture, t_s, row)
-    return rows
+        rows[k] = row
+    return rows, state
 
 
 def chosen_postures(n_frames: int, n: int) -> NDArray[np.intp]:

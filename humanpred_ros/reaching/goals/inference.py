@@ -15,6 +15,7 @@ from humanpred_ros.errors import ArrayError, HumanModelError, MotionError, Usage
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.reaching.futures.progress import ReachProgress
+from humanpred_ros.reaching.goals.believing import ANEW, LEFT_OUT
 from humanpred_ros.reaching.goals.best_reaches import best_reach
 from humanpred_ros.reaching.goals.features import N_COLUMNS, HandState, observe
 from humanpred_ros.reaching.goals.learning import ReachLesson, fit_goal_model, learn_goal_model, reach_lessons
@@ -37,7 +38,8 @@ class GoalClassifier(IntentClassifier):
     """P(place | the reach so far) and P(none of the places | the reach so far).
 
     All places are equally probable beforehand. The places are in the tracker's frame, and stay where they are when a
-    person stands elsewhere. One posture takes the same time however long the reach has lasted.
+    person stands elsewhere. One posture takes the same time however long the reach has lasted. One with the hand where
+    it cannot have got (`believing`) changes nothing.
 
     Attributes:
         human: whose postures come.
@@ -129,6 +131,7 @@ class GoalClassifier(IntentClassifier):
         self._state = HandState.fresh()
         self._row = np.zeros(N_COLUMNS)
         self._last_s = -math.inf
+        self._n_frames = 0
         self._best: dict[tuple[float, ...], FloatArray] = {}
         self.progress.start()
 
@@ -153,11 +156,16 @@ class GoalClassifier(IntentClassifier):
         if np.abs(points).max() > _FARTHEST_M:
             raise ArrayError(f"posture: wanted a body within {_FARTHEST_M:g} m of the tracker, got one beyond; drop it")
         self._last_s = t_s
-        self.progress.update(q)
+        self._n_frames += 1
+        conclusion = observe(self._state, points, t_s, self._row)
+        if conclusion == ANEW:
+            self._best = {}
+            self.progress.start()
+        if conclusion != LEFT_OUT:
+            self.progress.update(q)
         if self.progress.sets_out_again:
             self.start()
             return self.update(q, t_s)
-        observe(self._state, points, t_s, self._row)
         log_evidence = self.model.log_likelihood(self._row[None], goals.places_m, self._best_reaches(goals))[0]
         # How the whole body would reach is known for told places only, so told and untold are compared by the hand.
         told = self._by_hand(goals.places_m) - np.log(len(goals))
@@ -169,7 +177,7 @@ class GoalClassifier(IntentClassifier):
             likelihood / likelihood.sum() * (1.0 - unknown),
             log_evidence,
             t_s,
-            int(self._state.reach.n_seen[0]),
+            self._n_frames,
             unknown,
         )
 

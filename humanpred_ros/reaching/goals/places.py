@@ -18,7 +18,8 @@ from humanpred_ros.errors import ArrayError, LibraryFormatError, UsageError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.cleaning import DROP_REASONS, flag_library
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.recognition.reach_features import FAR, motion_features, point_links
+from humanpred_ros.reaching.goals.features import farthest_palm
+from humanpred_ros.recognition.reach_features import point_links
 
 #: How much farther than the arm is long somebody gets by leaning, turning and stepping, metres. In both of P1's
 #: libraries no place is more than 0.63 m farther from the shoulder at the start than the arm is long.
@@ -193,18 +194,16 @@ class ReachEnd:
 
 
 def reach_ends(library: MotionLibrary, human: HumanModel) -> tuple[ReachEnd, ...]:
-    """Return where each motion's palm was farthest from its start, one lost frame forgiven, in the library's order.
+    """Return where each motion's palm was farthest from its start, a lost arm forgiven, in the library's order.
 
     Raises:
         HumanModelError: a library of another human.
     """
     wrong = mistracked(library, human)
-    links = point_links(human)
-    ends = []
-    for motion in library:
-        features = motion_features(human.link_poses(motion.q)[:, links][..., :3, 3])
-        ends.append(ReachEnd(motion.name, motion.label, features[-1, FAR : FAR + 3].copy(), motion.name not in wrong))
-    return tuple(ends)
+    return tuple(
+        ReachEnd(motion.name, motion.label, farthest_palm(motion, human), motion.name not in wrong)
+        for motion in library
+    )
 
 
 def reaching_for(ends: Sequence[ReachEnd], labels: Collection[int]) -> frozenset[str]:

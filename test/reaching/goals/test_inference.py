@@ -162,13 +162,40 @@ def test_30_hz_and_jittered_stamps_get_nearly_the_same_answers() -> None:
         assert np.abs(answers(fresh(), Motion(late, motion.q, motion.dof_names)) - usual).mean() < 0.03
 
 
-def test_a_lost_arm_is_forgiven_after_a_few_frames() -> None:
-    motion = unseen(1)
-    q = motion.q.copy()
-    q[20, 7:] += 2.0
-    usual, lost = answers(fresh(), motion), answers(fresh(), motion.with_postures(q))
-    assert np.abs(lost - usual)[24:].max() < 0.15
-    assert lost[-1, :4].argmax() == usual[-1, :4].argmax()
+@pytest.mark.parametrize("n_lost", [1, 5, 10])
+@pytest.mark.parametrize("thrown_about", [False, True])
+def test_a_lost_arm_is_forgiven_once_it_is_back(n_lost: int, thrown_about: bool) -> None:
+    for label in range(4):
+        motion = unseen(label)
+        q = motion.q.copy()
+        shift = np.random.default_rng(label).normal(0.0, 1.5, (n_lost, 1)) if thrown_about else 2.0
+        q[15 : 15 + n_lost, 7:] += shift
+        classifier = fresh()
+        usual, lost = answers(fresh(), motion), answers(classifier, motion.with_postures(q))
+        np.testing.assert_array_equal(lost[15 : 15 + n_lost], np.tile(lost[14], (n_lost, 1)))
+        assert np.abs(lost - usual)[15 + n_lost + 7 :].max() < 0.15
+        assert lost[34, :4].argmax() == label
+        assert lost[-1, :4].argmax() == label
+
+
+@pytest.mark.parametrize("n_wild", [1, 3])
+def test_a_stream_that_begins_wildly_recovers(n_wild: int) -> None:
+    motion = unseen(2)
+    resting = Motion(np.arange(65) / 60, np.vstack([np.repeat(motion.q[:1], 15, axis=0), motion.q]), motion.dof_names)
+    q = resting.q.copy()
+    q[:n_wild, :3] += 2.0
+    usual, wild = answers(fresh(), resting), answers(fresh(), resting.with_postures(q))
+    np.testing.assert_allclose(wild[n_wild + 10 :], usual[n_wild + 10 :], atol=0.02)
+
+
+def test_postures_that_are_not_believed_are_counted_and_their_time_passes() -> None:
+    motion, classifier = unseen(0), fresh()
+    for q, t_s in zip(motion.q[:15], motion.t_s[:15].tolist(), strict=True):
+        before = classifier.update(q, t_s)
+    after = classifier.update(motion.q[15] + 1.5, float(motion.t_s[15]))
+    assert after.n_frames == before.n_frames + 1
+    np.testing.assert_array_equal(after.probability, before.probability)
+    np.testing.assert_array_equal(classifier.progress.posture, motion.q[14])
 
 
 def test_goals_come_and_go_while_a_reach_is_under_way() -> None:
