@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from functools import partial
 from operator import mod
 
@@ -99,11 +98,9 @@ def test_workers_end_with_their_parent(number: int) -> None:
     try:
         assert parent.stdout.readline() == "started\n"
         assert parent.stdout.readline() == "1\n"  # both workers are up, and at their long tasks
-        begun = time.monotonic()
         os.killpg(parent.pid, number) if number == signal.SIGINT else parent.kill()
         _, complaints = parent.communicate(timeout=90)
         wait_until(lambda: not processes_with_environment(marker), "the workers to end", 60.0)
-        assert time.monotonic() - begun < 10
         # One traceback, the parent's own: no worker has a say about a Ctrl-C.
         assert complaints.count("Traceback") == (number == signal.SIGINT)
     finally:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -279,15 +277,3 @@ def test_postures_do_not_depend_on_where_the_plates_are_put() -> None:
     )  # fmt: skip
     t, q = reach()
     assert difference(skeleton.postures(moved.places(skeleton.model, q), t).require_complete(), q).max() < 1e-9
-
-
-def test_200_frames_take_less_than_half_a_second() -> None:
-    t, q = reach(200)
-    points = skeleton.points(q)
-    points[np.random.default_rng(0).uniform(size=points.shape[:2]) < 0.03] = np.nan
-    took = []
-    for _ in range(3):
-        start = time.perf_counter()
-        skeleton.postures(points, t)
-        took.append(time.perf_counter() - start)
-    assert min(took) < 0.5  # 0.05 on an idle core

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import re
-import time
 from pathlib import Path
 
 import numpy as np
@@ -26,11 +25,9 @@ def folder_with(tmp_path: Path, lines: list[str], name: str = "class_0.csv") -> 
 
 
 @pytest.mark.parametrize("name", ["library_a", "library_b"])
-def test_the_papers_libraries_are_read_quickly_and_completely(name: str) -> None:
+def test_the_papers_libraries_are_read_completely(name: str) -> None:
     path = shared_data(f"iros2013/{name}")
-    start_s = time.perf_counter()
     library = read_csv_library(path)
-    assert time.perf_counter() - start_s < 1.0
     assert library.name == name
     assert library.labels == tuple(range(8))
     assert len(library) == (201 if name == "library_b" else 200)  # class 6 of library_b has 26

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
@@ -105,17 +104,6 @@ def test_an_orientation_that_no_joint_allows_is_told_as_an_angle() -> None:
     found = solve_tool_pose(ARM, ToolPose.within(T, 0.02, 0.1), START)
     assert len(found.configurations) == 0
     assert found.missing_m > 0.05 or found.missing_rad > 0.5
-
-
-def test_one_goal_takes_less_than_the_promised_time() -> None:
-    targets = [ToolPose.within(ARM.chain.tool_pose(q), 0.01, 0.1) for q in np.linspace(LOWER, UPPER, 7)[1:-1]]
-    took = []
-    for target in targets:
-        began = time.process_time()
-        solve_tool_pose(ARM, target, START)
-        took.append(time.process_time() - began)
-    # Measured: 0.07 s. Processor time, so that other programs do not count.
-    assert np.median(took) < 0.3
 
 
 def test_spread_keeps_the_first_ones_apart() -> None:
