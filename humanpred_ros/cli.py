@@ -17,8 +17,8 @@ from rich.console import Console
 from rich.table import Table
 
 from humanpred_ros import __version__
+from humanpred_ros.bags.salvage import BagReport, check_bag, salvage_bag
 from humanpred_ros.errors import HumanPredError
-from humanpred_ros.recording.salvage import BagReport, check_bag, salvage_bag
 
 #: Tables for a file or another program need not fit a terminal that nobody has.
 _WIDTH_OF_FILES = 130
@@ -53,7 +53,7 @@ def _interruptible() -> Iterator[None]:
 
 
 def _demo(options: argparse.Namespace) -> int:
-    from humanpred_ros.experiments.demo import DemoOptions, run_demo
+    from humanpred_ros.evaluation.demo import DemoOptions, run_demo
 
     run_demo(
         DemoOptions(
@@ -152,7 +152,7 @@ def _report(options: argparse.Namespace) -> int:
 
 
 def _replay(options: argparse.Namespace) -> int:
-    from humanpred_ros.experiments.reproduce import replay_run
+    from humanpred_ros.evaluation.reproduce import replay_run
 
     out = Path(options.out) if options.out else Path(options.run) / "replayed_bag"
     with console.status("feeding the recorded occupancy to a fresh planner"):
@@ -223,7 +223,7 @@ class _ExperimentParser(argparse.ArgumentParser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         if self._module is not None:
-            experiment = importlib.import_module(f"humanpred_ros.experiments.{self._module}")
+            experiment = importlib.import_module(f"humanpred_ros.evaluation.{self._module}")
             self._module = None
             experiment.add_arguments(self)
             self.set_defaults(command=lambda options: experiment.run(options, console))

@@ -20,7 +20,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 
-from humanpred_ros.experiments.processes import NodeGroup, ParameterValue, free_domain_id
+from humanpred_ros.evaluation.processes import NodeGroup, ParameterValue, free_domain_id
 from humanpred_ros.nodes import qos, topics
 
 _SPIN_S = 0.01

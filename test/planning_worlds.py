@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
 
-from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
-from humanpred_ros.robot.chain import BodyPoints, BodySpheres, KinematicChain
-from humanpred_ros.robot.distance_field import SignedDistanceField
+from humanpred_ros.geometry.chain import BodyPoints, BodySpheres, KinematicChain
+from humanpred_ros.geometry.distance_field import SignedDistanceField
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 
 COORDINATE, ANY = "coordinate", "any"
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import ReachRecording

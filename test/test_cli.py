@@ -11,6 +11,8 @@ import pytest
 import yaml
 from paths import REPOSITORY, shared_data
 
+from humanpred_ros.bags.messages import string
+from humanpred_ros.bags.writer import BagWriter
 from humanpred_ros.cli import main
 from humanpred_ros.human.kinect import KINECT12_DOFS
 from humanpred_ros.human.model import HumanModel
@@ -18,8 +20,6 @@ from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.csv_library import write_csv_library
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.recording.messages import string
-from humanpred_ros.recording.writer import BagWriter
 
 
 def small_library(n_classes: int = 2, n_motions: int = 3) -> MotionLibrary:

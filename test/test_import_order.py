@@ -9,15 +9,15 @@ import pytest
 from paths import REPOSITORY
 
 ORDER = (
-    "recording", "human", "motion", "recognition", "occupancy", "robot", "planning", "reaching",
-    "predictors", "viewing", "experiments", "nodes", "cli",
+    "geometry", "bags", "human", "motion", "recognition", "occupancy", "stomp", "reaching", "robot", "planning",
+    "predictors", "viewing", "evaluation", "nodes", "cli",
 )  # fmt: skip
 #: The same inside packages that have folders; what lies in the package itself comes last.
 INNER_ORDER = {
-    "planning": ("stomp", "timing", "validity"),
+    "planning": ("timing", "validity"),
     "reaching": ("costs", "learning", "prediction", "futures", "goals"),
 }
-SHARED = {"errors", "checks", "compiled", "kernel_cache", "resources", "__version__"}
+SHARED = {"errors", "resources", "__version__"}
 ROS_MODULES = {
     "rclpy", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "rcl_interfaces", "rosgraph_msgs",
     "sensor_msgs", "std_msgs", "trajectory_msgs", "visualization_msgs",

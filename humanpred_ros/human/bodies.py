@@ -17,9 +17,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, frozen
 from humanpred_ros.errors import HumanModelError
-from humanpred_ros.human.shapes import Box, Capsule, EllipticCylinder, Shape, Sphere
+from humanpred_ros.geometry.capsules import Box, Capsule, EllipticCylinder, Shape, Sphere
+from humanpred_ros.geometry.checks import FloatArray, frozen
 
 
 @dataclass(frozen=True)

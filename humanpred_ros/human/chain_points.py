@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import HumanModelError
-from humanpred_ros.human import chain_kernels
+from humanpred_ros.geometry import chain_kernels
+from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.human.model import JOINT_CENTRES, HumanModel
 
 

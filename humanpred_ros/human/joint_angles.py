@@ -16,8 +16,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.human.rotations import rotation
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.rotations import rotation
 
 #: How near (rad) to the alignment of two axes their angles are taken as not seen apart; rounding of the rotation's
 #: entries (1e-16) is 1e-10 rad of angle there.

@@ -25,11 +25,11 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import HumanModelError
+from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.rotations import frame_of, rotate_back, rotation, wrapped
 from humanpred_ros.human.kinect_result import Findings, KinectPosture, KinectPostures
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.human.rotations import frame_of, rotate_back, rotation, wrapped
 
 #: Each skeleton point, in the order trackers deliver them, and the model's link whose origin it is.
 LINK_OF_POINT = MappingProxyType(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 
 

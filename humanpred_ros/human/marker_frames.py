@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.rotations import rotate_back
 from humanpred_ros.human.joint_angles import joint_angles, joint_rotation, unwrap
 from humanpred_ros.human.marker_set import MarkerSet
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.human.rotations import rotate_back
 
 
 @dataclass(frozen=True)

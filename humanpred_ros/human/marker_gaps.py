@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import MotionError
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.rigid_fit import groups_of, is_spread, mean_shape, misfit_m, place, seen_in
 from humanpred_ros.human.marker_set import MarkerSet
-from humanpred_ros.human.rigid_fit import groups_of, is_spread, mean_shape, misfit_m, place, seen_in
 
 #: A polynomial of this degree over this many seen frames on either side bridges a gap in time: smoother than a line
 #: where a hand accelerates, and not led astray by the noise of single frames.

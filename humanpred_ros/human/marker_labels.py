@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import MotionError
+from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.rigid_fit import is_spread, misfit_m, pairwise_m, place, seen_in
 from humanpred_ros.human.marker_set import MarkerSet
 from humanpred_ros.human.marker_shapes import UPRIGHT, match_shape, nominal_shapes
-from humanpred_ros.human.rigid_fit import is_spread, misfit_m, pairwise_m, place, seen_in
 
 
 @dataclass(frozen=True)

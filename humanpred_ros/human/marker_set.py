@@ -19,8 +19,8 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import HumanModelError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.chain_points import ChainPoints
 from humanpred_ros.human.model import HumanModel
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import MotionError
+from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.rigid_fit import is_spread, misfit_m, place, seen_in
 from humanpred_ros.human.marker_set import MarkerSet
-from humanpred_ros.human.rigid_fit import is_spread, misfit_m, place, seen_in
 
 #: Segments that are upright whenever a person stands or sits, and how far (m) a shoulder is from the torso's centre.
 UPRIGHT = ("waist", "torso")

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import HumanModelError, MotionError
+from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.rigid_fit import pairwise_m, seen_in
 from humanpred_ros.human.marker_frames import SegmentFrames, postures_of, segment_frames
 from humanpred_ros.human.marker_gaps import FilledMarkers, GapConfig, fill_markers, measure_shapes, swapped_pair
 from humanpred_ros.human.marker_set import ANATOMICAL, LINK_OF_SEGMENT, MarkerSet
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.human.rigid_fit import pairwise_m, seen_in
 
 #: The DoFs of P2's human, in the order of its recordings' columns (facts: icra2015, 2.2).
 MOCAP23_DOFS = (

@@ -18,9 +18,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import HumanModelError
-from humanpred_ros.human import kernels
+from humanpred_ros.geometry import posture_kernels as kernels
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.human.bodies import Body, parse_urdf, read_bodies, signature_of
 from humanpred_ros.human.surface import SurfacePoints, sample_bodies
 from humanpred_ros.resources import share_file

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import HumanModelError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.bodies import Body
 
 

@@ -16,12 +16,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.bags import messages as ros
+from humanpred_ros.bags.reader import BagReader
+from humanpred_ros.bags.writer import BagWriter
 from humanpred_ros.errors import BagError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.motion import SKELETON_POINTS, Motion, MotionLibrary
-from humanpred_ros.recording import messages as ros
-from humanpred_ros.recording.reader import BagReader
-from humanpred_ros.recording.writer import BagWriter
 
 #: Stamp of the first motion: 0 means "no time" in ROS.
 _FIRST_STAMP_NS = 1_000_000_000

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import LibraryFormatError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.kinect import KINECT12_DOFS
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 

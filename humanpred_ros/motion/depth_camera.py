@@ -10,8 +10,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import UsageError
+from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.motion.motion import SKELETON_POINTS
 from humanpred_ros.motion.reaching_body import slow_noise
 

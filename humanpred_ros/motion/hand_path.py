@@ -11,8 +11,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import UsageError
+from humanpred_ros.geometry.checks import FloatArray, checked
 
 
 @dataclass(frozen=True)

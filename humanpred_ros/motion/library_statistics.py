@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import LibraryFormatError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.cleaning import clean_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary

@@ -8,8 +8,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import LibraryFormatError, MotionError, UsageError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.human.kinect import LINK_OF_POINT
 
 #: The 15 skeleton points an OpenNI tracker delivers, in the order of `Motion.points_m`.

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import LibraryFormatError
+from humanpred_ros.geometry.checks import FloatArray
 
 TIME = "t"
 

@@ -13,8 +13,8 @@ from types import MappingProxyType
 import numpy as np
 import pinocchio as pin
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import UsageError
+from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.human.kinect import KINECT12_DOFS
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.hand_path import HandPath

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import MotionError
+from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.motion.motion import Motion
 
 

@@ -19,8 +19,8 @@ from typing import Literal
 import numpy as np
 
 from humanpred_ros import __version__
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import GoalUnreachableError, MotionError, UsageError
+from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.human.kinect import KINECT12_DOFS, KinectSkeleton
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.depth_camera import DepthCamera, DepthCameraConfig, Recording

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import ArrayError, PlanningError
-from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.planning.decision import Decision
 from humanpred_ros.planning.timing.controller_checks import controller_refusal
 from humanpred_ros.planning.timing.trajectory import TimedTrajectory

@@ -10,8 +10,8 @@ from geometry_msgs.msg import Point, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.occupancy.grid import Occupancy
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import Occupancy
 
 #: Pairs of named points of the human joined by a line.
 BONES = (

@@ -11,8 +11,8 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import HumanPredError, UsageError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.named import human_named
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.nodes import conversions, qos, topics

@@ -12,14 +12,14 @@ from sensor_msgs.msg import JointState, PointCloud2
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import ArrayError, PlanningError
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.nodes import conversions, qos, topics
 from humanpred_ros.nodes.base import GraphNode, run_node
 from humanpred_ros.nodes.markers import candidate_markers, rollout_markers
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.nodes.settings import StompPlannerSettings
-from humanpred_ros.occupancy.grid import Occupancy
 from humanpred_ros.planning.decision import HOLD, Decision
 from humanpred_ros.planning.replanner import MultiGoalReplanner
 from humanpred_ros.robot.scene import load_scene

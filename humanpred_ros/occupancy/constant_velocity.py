@@ -12,11 +12,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import MotionError, UsageError
+from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.resampling import is_angle
-from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
 from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
 from humanpred_ros.occupancy.voxeliser import DEFAULT_SPACING_M, BodyVoxeliser
 

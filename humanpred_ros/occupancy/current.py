@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray, checked
+from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
 from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
 from humanpred_ros.occupancy.swept_volume import BodyVoxeliser
 

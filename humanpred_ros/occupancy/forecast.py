@@ -14,13 +14,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import UsageError
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy import forecast_kernels as kernels
 from humanpred_ros.occupancy.body_parts import BodyParts, Float32Array
 from humanpred_ros.occupancy.forecast_config import ForecastConfig
-from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
 from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
 from humanpred_ros.occupancy.recorded_futures import RecordedFutures
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser, checked_placement

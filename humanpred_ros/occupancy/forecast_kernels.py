@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.compiled import exact
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.compiled import exact
 from humanpred_ros.occupancy.body_parts import Float32Array
 from humanpred_ros.occupancy.point_kernels import BitArray, chain, holds_ball, spread_out, voxels, voxels_within
 from humanpred_ros.occupancy.recorded_futures import MOMENTS, Ways

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import ArrayError, UsageError
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
 from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
 from humanpred_ros.occupancy.swept_volume import BodyVoxeliser, SweptVolumeConfig, swept_volume
 from humanpred_ros.recognition.classifier import IntentClassifier

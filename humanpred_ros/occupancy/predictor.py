@@ -5,8 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.recognition.classifier import ClassPosterior
 
 #: What predicts unless told otherwise; `predictors.factory` knows them all.

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.compiled import exact
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.compiled import exact
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy.body_parts import BodyParts, Float32Array
 from humanpred_ros.recognition.forest_model import Exemplars

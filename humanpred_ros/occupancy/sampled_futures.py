@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import ArrayError, UsageError
-from humanpred_ros.human import kernels as human_kernels
+from humanpred_ros.geometry import posture_kernels as human_kernels
+from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy import sampled_kernels as kernels
 from humanpred_ros.occupancy.body_parts import BodyParts, Float32Array
 from humanpred_ros.occupancy.forecast_config import MOST_FUTURES
-from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.point_kernels import spread_out
 from humanpred_ros.occupancy.voxeliser import DEFAULT_SPACING_M, BodyVoxeliser, checked_placement
 

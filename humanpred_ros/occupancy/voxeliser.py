@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import ArrayError, UsageError
+from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy import kernels
-from humanpred_ros.occupancy.grid import VoxelGrid
 
 #: Distance between points on the body's surface (P1, facts 3).
 DEFAULT_SPACING_M = 0.02

@@ -12,16 +12,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.planning.decision import GoalReport
 from humanpred_ros.planning.person import Person
 from humanpred_ros.planning.reconnection import reconnect
 from humanpred_ros.planning.situation import Situation
-from humanpred_ros.planning.stomp.costs import BoolArray, HumanOccupancyCost, as_batch
-from humanpred_ros.planning.stomp.planner import Float32Array, Plan, StompPlanner, StompRun
-from humanpred_ros.planning.stomp.rounds import advance_all
 from humanpred_ros.planning.timing.path import path_integral, path_parameter, resampled, straight
 from humanpred_ros.planning.tools import Tools
+from humanpred_ros.stomp.costs import BoolArray, HumanOccupancyCost, as_batch
+from humanpred_ros.stomp.planner import Float32Array, Plan, StompPlanner, StompRun
+from humanpred_ros.stomp.rounds import advance_all
 
 #: Configurations the rest of a trajectory is first read at, before it is spaced evenly.
 _REREAD = 300

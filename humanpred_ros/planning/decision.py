@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, frozen
+from humanpred_ros.geometry.checks import FloatArray, frozen
 from humanpred_ros.planning.timing.trajectory import TimedTrajectory
 
 REPLAN = "replan"

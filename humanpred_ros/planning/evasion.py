@@ -11,11 +11,11 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.planning.person import Person
-from humanpred_ros.planning.stomp.costs import HumanOccupancyCost, as_batch
 from humanpred_ros.planning.timing.path import path_integral, straight
 from humanpred_ros.planning.tools import Tools
+from humanpred_ros.stomp.costs import HumanOccupancyCost, as_batch
 
 #: Configurations drawn around the present one, with these standard deviations in turn, rad.
 _DRAWN, _SPREADS_RAD = 240, (0.15, 0.3, 0.6, 1.0)

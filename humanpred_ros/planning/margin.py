@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.compiled import exact
 from humanpred_ros.errors import PlanningError
-from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
+from humanpred_ros.geometry.compiled import exact
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 
 #: A voxel whose centre is exactly at the margin counts, whatever rounding says.
 _ROUNDING = 1e-9

@@ -13,13 +13,13 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
+from humanpred_ros.geometry.chain import reach_m
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.planning.person_distance import PersonDistance
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.planning.timing.trajectory import TimedTrajectory
 from humanpred_ros.planning.validity.motion_check import MotionChecker, Trouble
-from humanpred_ros.robot.chain import reach_m
 
 #: Distances beyond this many times the separation need not be told apart, and this at least, m.
 _CAP_SEPARATIONS, _LEAST_CAP_M = 3.0, 0.2

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray, checked
-from humanpred_ros.compiled import exact
 from humanpred_ros.errors import PlanningError
-from humanpred_ros.occupancy.grid import VoxelGrid
-from humanpred_ros.robot.distance_field import SignedDistanceField
+from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.compiled import exact
+from humanpred_ros.geometry.distance_field import SignedDistanceField
+from humanpred_ros.geometry.lattice import VoxelGrid
 
 #: Interpolated distances exceed the true distance to cubes by at most this many voxels: in front of the corner
 #: of a single one. In front of faces they are exact (see the test).

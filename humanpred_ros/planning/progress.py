@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.planning.decision import HOLD, REPLAN, Decision
 from humanpred_ros.planning.schedule import Schedule
 from humanpred_ros.planning.situation import Situation

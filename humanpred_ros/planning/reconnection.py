@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import PlanningError
-from humanpred_ros.planning.stomp.costs import CostTerm, HumanOccupancyCost, as_batch
+from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.planning.timing.path import path_integral, path_parameter, point_at, resampled
+from humanpred_ros.stomp.costs import CostTerm, HumanOccupancyCost, as_batch
 
 #: Configurations a candidate segment is checked at.
 SEGMENT_WAYPOINTS = 16

@@ -21,9 +21,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import PlanningError
-from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
+from humanpred_ros.geometry.chain import reach_m
+from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.distance_field import SignedDistanceField
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, MISSED, Decision
 from humanpred_ros.planning.guard import has_become_bad, stop_reason
 from humanpred_ros.planning.person import Person
@@ -31,18 +33,16 @@ from humanpred_ros.planning.progress import Progress
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.planning.schedule import Schedule
 from humanpred_ros.planning.step import ReplanningStep
-from humanpred_ros.planning.stomp.planner import Float32Array
 from humanpred_ros.planning.timing.stopping import brake_along
 from humanpred_ros.planning.tools import Tools
 from humanpred_ros.planning.validity.goal_check import outside_limits, usable_configurations
 from humanpred_ros.planning.validity.motion_check import SelfClearance
 from humanpred_ros.planning.warm_up import warm_up
 from humanpred_ros.robot.arm import Arm
-from humanpred_ros.robot.chain import reach_m
-from humanpred_ros.robot.distance_field import SignedDistanceField
 from humanpred_ros.robot.goal import Goal
 from humanpred_ros.robot.scene import Scene
 from humanpred_ros.robot.self_collision import SelfCollision
+from humanpred_ros.stomp.planner import Float32Array
 
 __all__ = ["MultiGoalReplanner", "ReplannerConfig"]
 

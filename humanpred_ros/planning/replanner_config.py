@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from humanpred_ros.errors import PlanningError
-from humanpred_ros.planning.stomp.planner import StompConfig
+from humanpred_ros.stomp.planner import StompConfig
 
 
 @dataclass(frozen=True)

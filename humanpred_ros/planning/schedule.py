@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import PlanningError
+from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.planning.timing.trajectory import TimedTrajectory, at_rest
 
 #: Trajectories kept; at ten steps a second this is some seconds of changing movement.

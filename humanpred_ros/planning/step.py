@@ -11,17 +11,17 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.planning.candidates import Candidate, Candidates, with_reason
 from humanpred_ros.planning.decision import ARRIVED, EVADE, HOLD, KEEP, REPLAN, Decision, GoalReport
 from humanpred_ros.planning.evasion import ways_aside
 from humanpred_ros.planning.person import Person
 from humanpred_ros.planning.situation import Situation
-from humanpred_ros.planning.stomp.planner import Float32Array
 from humanpred_ros.planning.timing.parameterisation import time_parameterise
 from humanpred_ros.planning.timing.stopping import brake_along
 from humanpred_ros.planning.timing.trajectory import TimedTrajectory
 from humanpred_ros.planning.tools import Tools
+from humanpred_ros.stomp.planner import Float32Array
 
 #: What a timed trajectory may exceed the joint limits by, rad: corners are rounded off, and what is left of the old
 #: velocity leads off the path for a moment.

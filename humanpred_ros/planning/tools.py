@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.occupancy.grid import Occupancy
+from humanpred_ros.geometry.chain import BodyPoints, KinematicChain
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.distance_field import SignedDistanceField
+from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.planning.margin import widened
 from humanpred_ros.planning.person import Person
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.stomp.costs import HumanOccupancyCost, ObstacleCost, SmoothnessCost
-from humanpred_ros.planning.stomp.planner import StompPlanner
 from humanpred_ros.planning.validity.motion_check import MotionChecker, SelfClearance
 from humanpred_ros.robot.arm import Arm
-from humanpred_ros.robot.chain import BodyPoints, KinematicChain
-from humanpred_ros.robot.distance_field import SignedDistanceField
+from humanpred_ros.stomp.costs import HumanOccupancyCost, ObstacleCost, SmoothnessCost
+from humanpred_ros.stomp.planner import StompPlanner
 
 #: What a timed trajectory may lose of clearance against its path, m: corners are rounded off, and what is left of
 #: the old velocity leads off the path for a moment.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.planning.reconnection import reconnect
 from humanpred_ros.planning.timing.parameterisation import time_parameterise
 from humanpred_ros.planning.timing.path import straight

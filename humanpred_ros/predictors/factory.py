@@ -5,11 +5,11 @@ from __future__ import annotations
 from numpy.typing import ArrayLike
 
 from humanpred_ros.errors import UsageError
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy.constant_velocity import ConstantVelocityPredictor
 from humanpred_ros.occupancy.current import CurrentOccupancyPredictor
 from humanpred_ros.occupancy.forecast import ForecastPredictor
-from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.p1 import SweptVolumePredictor
 from humanpred_ros.occupancy.predictor import OccupancyPredictor
 from humanpred_ros.predictors.reach_sources import ReachKnowledge

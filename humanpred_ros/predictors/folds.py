@@ -8,10 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.predictor import OccupancyPredictor
 from humanpred_ros.recognition.gmm_config import GmmConfig
 

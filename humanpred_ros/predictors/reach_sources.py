@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import UsageError
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import VoxelGrid
+from humanpred_ros.geometry.shapes import Obstacle
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.reach_recordings import ACTIVE, find_jumps
-from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.voxeliser import checked_placement
 from humanpred_ros.reaching.costs.named_weights import NAMED_WEIGHTS
 from humanpred_ros.reaching.costs.reach_scene import ReachScene
@@ -24,7 +25,6 @@ from humanpred_ros.reaching.goals.places import GoalPlaces, mistracked
 from humanpred_ros.reaching.learning.weights_file import load_weights
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
 from humanpred_ros.recognition.training import TrainedModel
-from humanpred_ros.robot.shapes import Obstacle
 
 
 @dataclass(frozen=True, eq=False)

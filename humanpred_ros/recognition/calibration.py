@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray, checked, frozen
-from humanpred_ros.compiled import exact
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
+from humanpred_ros.geometry.compiled import exact
 
 #: Added to every vote: none is so surely wrong that a logarithm should make it impossible.
 _LEAST_VOTE = 1e-3

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import ArrayError
+from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.motion.motion import MotionLibrary
 
 #: What recognises unless told otherwise; `recognition.registry` knows them all.

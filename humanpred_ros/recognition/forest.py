@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.compiled import exact
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.compiled import exact
 from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.reach_features import Float32Array
 

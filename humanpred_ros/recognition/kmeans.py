@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray
 
 #: Lloyd's algorithm ends long before on real motions; EM refines whatever is left.
 MAX_ITERATIONS = 100

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import ArrayError, LibraryFormatError, UsageError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.recognition.kmeans import kmeans
 
 _log = logging.getLogger(__name__)

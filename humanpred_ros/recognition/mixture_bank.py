@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import ArrayError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.recognition.mixture import GaussianMixture, log_sum_exp
 
 

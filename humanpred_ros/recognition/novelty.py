@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray, frozen
-from humanpred_ros.compiled import exact, fast
+from humanpred_ros.geometry.checks import FloatArray, frozen
+from humanpred_ros.geometry.compiled import exact, fast
 from humanpred_ros.recognition.reach_features import FAR, REACHED, Float32Array
 
 #: Palm now, and when it was farthest from its start.

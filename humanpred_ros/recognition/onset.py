@@ -25,8 +25,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import MotionError, UsageError
+from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.recognition.rest_model import RestConfig, RestModel, check_positive
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import ArrayError
+from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.recognition.mixture import GaussianMixture, log_sum_exp
 
 

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.compiled import exact
 from humanpred_ros.errors import UsageError
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.compiled import exact
 
 #: Frames closer than this say much the same: a camera's errors last for two or three of its frames.
 CORRELATED_S = 0.1

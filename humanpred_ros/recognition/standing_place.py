@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import ArrayError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 
 #: Start postures whose median says where a motion began.
 _N_START = 5

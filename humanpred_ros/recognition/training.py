@@ -9,8 +9,8 @@ from types import MappingProxyType
 import numpy as np
 
 import humanpred_ros
-from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import ArrayError, HumanModelError, UsageError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.recognition.class_mixtures import ClassMixtures, fit_class_mixtures

@@ -6,8 +6,8 @@ from typing import Protocol
 
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.robot.chain import BodyPoints, BodySpheres, KinematicChain
+from humanpred_ros.geometry.chain import BodyPoints, BodySpheres, KinematicChain
+from humanpred_ros.geometry.checks import FloatArray
 
 
 class Arm(Protocol):

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import ArrayError
-from humanpred_ros.robot.chain import BodySpheres
-from humanpred_ros.robot.distance_field import SignedDistanceField
+from humanpred_ros.geometry.chain import BodySpheres
+from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.distance_field import SignedDistanceField
+from humanpred_ros.geometry.shapes import Obstacle
 from humanpred_ros.robot.pr2 import Pr2Arm
-from humanpred_ros.robot.shapes import Obstacle
 
 
 @dataclass(frozen=True)

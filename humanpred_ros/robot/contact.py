@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, checked
+from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.shapes import Obstacle
 from humanpred_ros.robot.clearance import Approach, nearest_approaches
 from humanpred_ros.robot.pr2 import Pr2Arm
 from humanpred_ros.robot.self_collision import SelfCollision
-from humanpred_ros.robot.shapes import Obstacle
 
 
 def nearest_contacts(arm: Pr2Arm, obstacles: Sequence[Obstacle], q: FloatArray) -> tuple[Approach, ...]:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import SceneError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import SceneError
-from humanpred_ros.robot.chain import axis_rotation
+from humanpred_ros.geometry.chain import axis_rotation
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.shapes import Obstacle
 from humanpred_ros.robot.goal import Goal
 from humanpred_ros.robot.pr2 import Pr2Arm
 from humanpred_ros.robot.scene_file import Section
-from humanpred_ros.robot.shapes import Obstacle
 from humanpred_ros.robot.tool_goal import tool_goal
 
 GOAL_KEYS = ("name", "configuration_angle", "tool_pose", "task_cost")

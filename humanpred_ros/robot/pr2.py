@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import GoalUnreachableError, SceneError
-from humanpred_ros.robot.chain import BodyBoxes, BodyPoints, BodySpheres, KinematicChain, reach_m
-from humanpred_ros.robot.shapes import Box, Obstacle
+from humanpred_ros.geometry.chain import BodyBoxes, BodyPoints, BodySpheres, KinematicChain, reach_m
+from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.shapes import Box, Obstacle
+from humanpred_ros.geometry.urdf_model import LinkSurface, UrdfModel, find_pr2_urdf
 from humanpred_ros.robot.surface import Bounds, covering_boxes, covering_spheres, sample
-from humanpred_ros.robot.urdf_model import LinkSurface, UrdfModel, find_pr2_urdf
 
 _ARM_JOINTS = (
     "shoulder_pan_joint",

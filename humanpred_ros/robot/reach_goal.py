@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import SceneError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.robot.scene_file import Section
 
 REACH_GOAL_KEYS = ("label", "place_m")

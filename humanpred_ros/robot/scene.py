@@ -12,18 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import ArrayError, GoalUnreachableError, SceneError
-from humanpred_ros.occupancy.grid import VoxelGrid
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
+from humanpred_ros.geometry.distance_field import DEFAULT_RESOLUTION_M, SignedDistanceField, build_distance_field
+from humanpred_ros.geometry.lattice import VoxelGrid
+from humanpred_ros.geometry.shapes import Box, Cylinder, Obstacle, planar_pose
 from humanpred_ros.resources import share_file
 from humanpred_ros.robot.contact import nearest_contacts, shoulder_approach
-from humanpred_ros.robot.distance_field import DEFAULT_RESOLUTION_M, SignedDistanceField, build_distance_field
 from humanpred_ros.robot.goal import Goal as Goal  # part of a scene, so importable from here
 from humanpred_ros.robot.goal_file import GOAL_KEYS, parse_goals
 from humanpred_ros.robot.pr2 import LEFT_ARM_JOINTS, RIGHT_ARM_JOINTS, Pr2Arm
 from humanpred_ros.robot.reach_goal import REACH_GOAL_KEYS, ReachGoal, parse_reach_goals
 from humanpred_ros.robot.scene_file import Section, read_yaml
-from humanpred_ros.robot.shapes import Box, Cylinder, Obstacle, planar_pose
 
 #: Distances beyond this need not be told apart: links are skipped, and movements proven free, well below it, m.
 _FIELD_CAP_M = 0.5

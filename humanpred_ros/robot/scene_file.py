@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import SceneError
+from humanpred_ros.geometry.checks import FloatArray, checked
 
 
 class Section:

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from humanpred_ros.checks import FloatArray, checked
-from humanpred_ros.compiled import exact
-from humanpred_ros.human.kernels import link_poses
-from humanpred_ros.robot.chain import BodyBoxes, BodySpheres, KinematicChain
+from humanpred_ros.geometry.chain import BodyBoxes, BodySpheres, KinematicChain
+from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.compiled import exact
+from humanpred_ros.geometry.posture_kernels import link_poses
 from humanpred_ros.robot.clearance import Approach
 from humanpred_ros.robot.pr2 import Pr2Arm
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import HumanModelError
+from humanpred_ros.geometry.chain import BodyPoints, BodySpheres
+from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.robot.chain import BodyPoints, BodySpheres
 from humanpred_ros.robot.pr2 import Pr2Arm
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import ArrayError
+from humanpred_ros.geometry.checks import FloatArray
 
 Bounds = tuple[FloatArray, FloatArray]
 """Lower and upper corner (3,) of an axis-aligned box, metres."""

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import GoalUnreachableError, SceneError, UsageError
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.shapes import Obstacle
 from humanpred_ros.robot.contact import nearest_contacts
 from humanpred_ros.robot.goal import Goal
 from humanpred_ros.robot.inverse_kinematics import InverseKinematicsConfig, solve_tool_pose, spread
 from humanpred_ros.robot.pr2 import Pr2Arm
-from humanpred_ros.robot.shapes import Obstacle
 from humanpred_ros.robot.tool_pose import ToolPose
 
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import SceneError
-from humanpred_ros.robot.rotation_vectors import rotation_matrix, rotation_vector
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
+from humanpred_ros.geometry.rotation_vectors import rotation_matrix, rotation_vector
 
 _RIGID = 1e-6
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.viewing.figures import INK, MARKERS, MUTED, SERIES, note
 
 DISTANCE_TITLES = ("joint", "task as coded", "task")

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.lines import Line2D
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.viewing.figures import INK, SERIES, new_figure, report_style
 from humanpred_ros.viewing.plots_reach_figures import (
     DISTANCE_TITLES,

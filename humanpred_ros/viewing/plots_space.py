@@ -13,8 +13,8 @@ from matplotlib.patches import Circle, Polygon
 from matplotlib.ticker import MultipleLocator
 from scipy.spatial import ConvexHull
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.robot.shapes import Cylinder, Obstacle
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.shapes import Cylinder, Obstacle
 from humanpred_ros.viewing.clearance import Clearance
 from humanpred_ros.viewing.figures import ALARM, INK, MUTED, WIDTH_IN, empty_figure, goal_colours, new_figure
 from humanpred_ros.viewing.run import Run

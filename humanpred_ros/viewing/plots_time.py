@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.viewing.clearance import Clearance
 from humanpred_ros.viewing.figures import ALARM, INK, MUTED, SERIES, empty_figure, new_figure, note
 from humanpred_ros.viewing.run import Run

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.viewing.run import WHOLE_REACH_PERCENT, Run
 from humanpred_ros.viewing.run_summary import OccupancyCalibration, ReliabilityBin

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.bags import messages
+from humanpred_ros.bags.metadata import TopicInfo
+from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.errors import BagError
-from humanpred_ros.occupancy.grid import VoxelGrid
-from humanpred_ros.recording import messages
-from humanpred_ros.recording.metadata import TopicInfo
-from humanpred_ros.recording.reader import BagReader
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
 from humanpred_ros.viewing import run_topics as topics
 from humanpred_ros.viewing.topic_loader import Entry, EvenSample, RunClock, TopicLoader

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.bags.messages import ns_from_stamp, point_cloud2_fields
 from humanpred_ros.errors import ArrayError, BagError
-from humanpred_ros.occupancy.grid import VoxelGrid
-from humanpred_ros.recording.messages import ns_from_stamp, point_cloud2_fields
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.viewing.tracks import GoalPlan, RecordedDecision, SentTrajectory
 
 # The nodes publish under these names; importing them from nodes/ would turn the packages' order around.

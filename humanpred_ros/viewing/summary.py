@@ -9,7 +9,7 @@ from collections import Counter
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.viewing.clearance import Clearance, measure_clearance
 from humanpred_ros.viewing.reliability import measure_calibration
 from humanpred_ros.viewing.run import WHOLE_REACH_PERCENT, Run

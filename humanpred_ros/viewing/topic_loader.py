@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.occupancy.grid import VoxelGrid
-from humanpred_ros.recording.reader import BagReader
+from humanpred_ros.bags.reader import BagReader
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.viewing import run_topics as topics
 
 

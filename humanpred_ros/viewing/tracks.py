@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.occupancy.grid import VoxelGrid
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import VoxelGrid
 
 #: Probabilities travel as float32; what their sum lacks of 1 by rounding is far less than this.
 _ROUNDING = 1e-6

@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import HumanModelError, HumanPredError
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.shapes import Obstacle
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.robot.pr2 import Pr2Arm
 from humanpred_ros.robot.scene import Scene, load_scene
-from humanpred_ros.robot.shapes import Obstacle
 from humanpred_ros.viewing.run import Run
 from humanpred_ros.viewing.tracks import PostureTrack
 

@@ -9,9 +9,9 @@ import pinocchio as pin
 import pytest
 
 from humanpred_ros.errors import HumanModelError
+from humanpred_ros.geometry.capsules import Box, Capsule, EllipticCylinder, Sphere
 from humanpred_ros.human.bodies import parse_urdf, read_bodies
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.human.shapes import Box, Capsule, EllipticCylinder, Sphere
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from paths import shared_data
 
+from humanpred_ros.bags import messages as ros
+from humanpred_ros.bags.reader import BagReader
+from humanpred_ros.bags.writer import BagWriter
 from humanpred_ros.errors import BagError
 from humanpred_ros.motion.bag_library import BodyTopics, motion_text, read_library_bag, write_library_bag
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import SKELETON_POINTS, Motion, MotionLibrary
-from humanpred_ros.recording import messages as ros
-from humanpred_ros.recording.reader import BagReader
-from humanpred_ros.recording.writer import BagWriter
 
 JOINTS = BodyTopics().joint_states
 MOTION = BodyTopics().motion

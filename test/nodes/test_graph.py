@@ -19,17 +19,17 @@ from rich.console import Console
 from rosbags.rosbag2 import Reader
 from waiting import processes_with_environment, wait_until
 
-from humanpred_ros.experiments.demo import DemoOptions, period_of, run_demo
-from humanpred_ros.experiments.direct_run import run_direct
-from humanpred_ros.experiments.reproduce import compare_bags, replay_run
+from humanpred_ros.bags.messages import point_cloud2_fields
+from humanpred_ros.bags.reader import BagReader
+from humanpred_ros.evaluation.demo import DemoOptions, period_of, run_demo
+from humanpred_ros.evaluation.direct_run import run_direct
+from humanpred_ros.evaluation.reproduce import compare_bags, replay_run
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.planning.replanner import MultiGoalReplanner
 from humanpred_ros.predictors.factory import make_predictor
 from humanpred_ros.recognition.model_file import load_model
-from humanpred_ros.recording.messages import point_cloud2_fields
-from humanpred_ros.recording.reader import BagReader
 from humanpred_ros.robot.scene import load_scene
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")

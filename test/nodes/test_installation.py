@@ -28,7 +28,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.experiments.processes import free_domain_id
+from humanpred_ros.evaluation.processes import free_domain_id
 from humanpred_ros.nodes import settings, topics
 from humanpred_ros.nodes.parameters import declare
 

@@ -13,8 +13,8 @@ import yaml
 from paths import REPOSITORY
 from waiting import wait_until
 
-from humanpred_ros.experiments.processes import NodeGroup, free_domain_id
-from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
+from humanpred_ros.evaluation.processes import NodeGroup, free_domain_id
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.robot.scene import load_scene
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")

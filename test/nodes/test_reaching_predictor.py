@@ -11,7 +11,7 @@ from mocap_library import mocap_library
 from paths import REPOSITORY, shared_data
 from rich.console import Console
 
-from humanpred_ros.experiments.demo import DemoOptions, run_demo
+from humanpred_ros.evaluation.demo import DemoOptions, run_demo
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.library_io import load_library

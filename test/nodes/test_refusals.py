@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from paths import REPOSITORY
 
-from humanpred_ros.experiments.processes import free_domain_id
+from humanpred_ros.bags.reader import BagReader
+from humanpred_ros.evaluation.processes import free_domain_id
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
-from humanpred_ros.recording.reader import BagReader
 from humanpred_ros.robot.scene import load_scene
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")

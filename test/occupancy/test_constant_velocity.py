@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_library import REST, small_library
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import ArrayError, MotionError, UsageError
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy.constant_velocity import ConstantVelocityConfig, ConstantVelocityPredictor
-from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 
 HUMAN = HumanModel.kinect12()

@@ -7,9 +7,9 @@ import pytest
 from small_library import small_library
 
 from humanpred_ros.errors import ArrayError
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy.current import CurrentOccupancyPredictor
-from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.swept_volume import BodyVoxeliser, swept_volume
 
 HUMAN = HumanModel.kinect12()

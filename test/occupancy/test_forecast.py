@@ -13,16 +13,16 @@ from paths import shared_data
 from scipy.ndimage import binary_dilation
 from small_library import REST, small_library
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import ArrayError, MotionError, UsageError
-from humanpred_ros.experiments.evaluation_grid import grid_around
-from humanpred_ros.experiments.occupancy.scores import Reliability
+from humanpred_ros.evaluation.evaluation_grid import grid_around
+from humanpred_ros.evaluation.occupancy.scores import Reliability
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.placement import placed, turn_and_shift
 from humanpred_ros.occupancy.forecast import ForecastConfig, ForecastPredictor
-from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.recognition.forest_classifier import ForestClassifier, ForestConfig
 

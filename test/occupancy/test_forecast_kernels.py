@@ -12,10 +12,10 @@ from hypothesis.extra.numpy import arrays
 from scipy.ndimage import convolve
 from small_library import REST, small_library
 
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy import forecast_kernels as kernels
 from humanpred_ros.occupancy.body_parts import BodyParts
-from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.point_kernels import NEVER_CERTAIN
 from humanpred_ros.occupancy.recorded_futures import RecordedFutures
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from small_library import small_library
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import ArrayError, HumanPredError, UsageError
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.p1 import SweptVolumePredictor
 from humanpred_ros.occupancy.swept_volume import BodyVoxeliser, swept_volume
 from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier

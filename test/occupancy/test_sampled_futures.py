@@ -9,10 +9,10 @@ import pytest
 from scipy.ndimage import convolve
 from small_library import REST, small_library
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import ArrayError, UsageError
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.point_kernels import NEVER_CERTAIN
 from humanpred_ros.occupancy.sampled_futures import SampledFutures, SweepConfig
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser

@@ -10,8 +10,8 @@ from paths import shared_data
 from small_library import REST, small_library
 
 from humanpred_ros.errors import ArrayError, HumanModelError, UsageError
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.swept_volume import BodyVoxeliser, SweptVolumeConfig, swept_volume
 
 HUMAN = HumanModel.kinect12()

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from small_library import REST, small_library
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import HumanModelError, UsageError
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.placement import turn_and_shift
-from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 
 HUMAN = HumanModel.kinect12()

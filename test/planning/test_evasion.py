@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from planning_worlds import PLANE, field_around, free_space, planar_arm, somebody_at
 
-from humanpred_ros.occupancy.grid import Occupancy
+from humanpred_ros.geometry.distance_field import SignedDistanceField
+from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.planning.evasion import ways_aside
 from humanpred_ros.planning.replanner import MultiGoalReplanner
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.robot.distance_field import SignedDistanceField
 from humanpred_ros.robot.goal import Goal
 
 ARM = planar_arm()

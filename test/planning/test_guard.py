@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from planning_worlds import free_space, nobody, planar_arm, somebody_at
 
-from humanpred_ros.occupancy.grid import Occupancy
+from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.planning.guard import has_become_bad, stop_reason
 from humanpred_ros.planning.person import Person
 from humanpred_ros.planning.replanner_config import ReplannerConfig

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from humanpred_ros.errors import PlanningError
-from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.planning.margin import widened
 
 

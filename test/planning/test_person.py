@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from planning_worlds import PLANE, free_space, planar_arm, somebody_at
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.occupancy.grid import Occupancy
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.planning.person import Person
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.planning.timing.parameterisation import time_parameterise

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from planning_worlds import planar_arm
 
 from humanpred_ros.errors import PlanningError
-from humanpred_ros.occupancy.grid import VoxelGrid
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.planning.person_distance import OVERSTATED_VOXELS, PersonDistance
 from humanpred_ros.planning.timing.parameterisation import time_parameterise
 from humanpred_ros.planning.timing.path import straight

@@ -13,8 +13,8 @@ from planning_worlds import field_around, nobody, planar_arm, somebody_at
 
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.planning.reconnection import reconnect
-from humanpred_ros.planning.stomp.costs import CostTerm, HumanOccupancyCost, ObstacleCost
 from humanpred_ros.planning.timing.path import path_parameter, straight
+from humanpred_ros.stomp.costs import CostTerm, HumanOccupancyCost, ObstacleCost
 
 ARM = planar_arm()
 WEIGHTS = np.array([0.9, 0.6, 0.3])

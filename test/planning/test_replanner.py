@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 from planning_worlds import field_around, free_space, nobody, planar_arm, somebody_at
 
 from humanpred_ros.errors import GoalUnreachableError, PlanningError
-from humanpred_ros.occupancy.grid import Occupancy, VoxelGrid
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.planning.decision import Decision
 from humanpred_ros.planning.replanner import MultiGoalReplanner
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.stomp.planner import StompConfig
-from humanpred_ros.planning.stomp.rounds import TURN
 from humanpred_ros.planning.timing.trajectory import LIMIT_TOLERANCE
 from humanpred_ros.robot.scene import Goal
+from humanpred_ros.stomp.planner import StompConfig
+from humanpred_ros.stomp.rounds import TURN
 
 ARM = planar_arm()
 FREE = free_space()

@@ -9,8 +9,8 @@ import pytest
 from small_library import REST, small_library
 
 from humanpred_ros.errors import UsageError
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.predictors.factory import PREDICTORS, make_predictor, needs_model
 from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.gmm_config import GmmConfig

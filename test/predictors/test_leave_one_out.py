@@ -9,9 +9,9 @@ import pytest
 from small_library import small_library
 
 from humanpred_ros.errors import LibraryFormatError, UsageError
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.predictor import OccupancyPredictor
 from humanpred_ros.predictors import leave_one_out as module
 from humanpred_ros.predictors.factory import PREDICTORS, needs_model

@@ -10,12 +10,12 @@ import pytest
 from paths import shared_data
 from small_library import REST, small_library
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import ArrayError, MotionError, UsageError
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
-from humanpred_ros.occupancy.grid import VoxelGrid
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.reaching.futures.end_postures import HAND
 from humanpred_ros.reaching.futures.model import ReachModel

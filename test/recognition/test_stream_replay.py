@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from small_library import DOF_NAMES, REST, small_library
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import ArrayError, UsageError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
 from humanpred_ros.recognition.stream import StreamClassifier, StreamConfig

@@ -10,11 +10,11 @@ import pinocchio as pin
 import pytest
 
 from humanpred_ros.errors import ArrayError
+from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
+from humanpred_ros.geometry.urdf_model import find_pr2_urdf
 from humanpred_ros.robot.clearance import arm_clearance, nearest_approach
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
 from humanpred_ros.robot.scene import Scene, load_scene
-from humanpred_ros.robot.shapes import Box, Obstacle, planar_pose
-from humanpred_ros.robot.urdf_model import find_pr2_urdf
 
 SCENES = {name: load_scene(name) for name in ("face_to_face", "side_by_side")}
 FACE, SIDE = SCENES["face_to_face"], SCENES["side_by_side"]

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from humanpred_ros.errors import ArrayError
+from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
 from humanpred_ros.robot.clearance import nearest_approach, nearest_approaches
 from humanpred_ros.robot.contact import nearest_contacts, shoulder_approach
 from humanpred_ros.robot.pr2 import Pr2Arm
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.robot.self_collision import SelfCollision
-from humanpred_ros.robot.shapes import Box, Obstacle, planar_pose
 
 SCENE = load_scene("face_to_face")
 ARM = SCENE.arm

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from humanpred_ros.errors import ArrayError, UsageError
+from humanpred_ros.geometry.shapes import planar_pose
 from humanpred_ros.robot.inverse_kinematics import InverseKinematicsConfig, solve_tool_pose, spread
 from humanpred_ros.robot.pr2 import Pr2Arm
-from humanpred_ros.robot.shapes import planar_pose
 from humanpred_ros.robot.tool_pose import ToolPose
 
 ARM = Pr2Arm(planar_pose(0.024, 0.018, 0.0, np.deg2rad(-90.54)))

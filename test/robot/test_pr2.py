@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, cKDTree
 
 from humanpred_ros.errors import GoalUnreachableError, SceneError, UsageError
+from humanpred_ros.geometry.shapes import planar_pose
+from humanpred_ros.geometry.urdf_model import find_pr2_urdf
 from humanpred_ros.robot.pr2 import (
     LEFT_ARM_JOINTS,
     LEFT_ARM_RAD,
@@ -21,8 +23,6 @@ from humanpred_ros.robot.pr2 import (
     TORSO_LIFT_M,
     Pr2Arm,
 )
-from humanpred_ros.robot.shapes import planar_pose
-from humanpred_ros.robot.urdf_model import find_pr2_urdf
 
 T_WORLD_BASE = planar_pose(0.828, -1.336, 0.0, np.deg2rad(151.812))
 ARM = Pr2Arm(T_WORLD_BASE)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from small_library import REST
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import ArrayError, HumanModelError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.robot.scene import Scene, load_scene
 from humanpred_ros.robot.separation import SeparationMeter

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from humanpred_ros.errors import GoalUnreachableError, SceneError, UsageError
+from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
 from humanpred_ros.robot.contact import nearest_contacts
 from humanpred_ros.robot.scene import load_scene
-from humanpred_ros.robot.shapes import Box, Obstacle, planar_pose
 from humanpred_ros.robot.tool_goal import ToolGoalConfig, tool_goal
 from humanpred_ros.robot.tool_pose import ToolPose
 

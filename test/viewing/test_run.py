@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from humanpred_ros.bags import messages
+from humanpred_ros.bags.writer import BagWriter
 from humanpred_ros.errors import BagError
 from humanpred_ros.nodes import topics as node_topics
-from humanpred_ros.recording import messages
-from humanpred_ros.recording.writer import BagWriter
 from humanpred_ros.robot.scene import Scene
 from humanpred_ros.viewing import run_topics
 from humanpred_ros.viewing.run import POSTURE_TO_OCCUPANCY, POSTURE_TO_TRAJECTORY, Run, read_run

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import PlanningError
+from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.planning.timing import speed_profile
 from humanpred_ros.planning.timing.averaged_profile import SMOOTHING_S, AveragedProfile, Begin
 from humanpred_ros.planning.timing.coming_to_rest import ComingToRest

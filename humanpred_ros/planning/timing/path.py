@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray
 
 
 def path_parameter(path: FloatArray, weights: ArrayLike = 1.0) -> FloatArray:

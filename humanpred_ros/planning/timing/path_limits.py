@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.planning.timing.averaged_profile import SMOOTHING_S
 from humanpred_ros.planning.timing.coming_to_rest import ComingToRest
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.compiled import exact
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.compiled import exact
 from humanpred_ros.planning.timing.path import path_parameter, point_at
 
 #: More control points follow corners more closely and take them more slowly.

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.compiled import exact
+from humanpred_ros.geometry.compiled import exact
 
 _TINY = 1e-12
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import PlanningError
+from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.planning.timing import speed_profile
 from humanpred_ros.planning.timing.coming_to_rest import ComingToRest
 from humanpred_ros.planning.timing.limit_use import limit_use

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import PlanningError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 
 #: Trajectories made by this package keep to velocity and acceleration limits, between their knots too, to
 #: within this share of them.

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import GoalUnreachableError, PlanningError
+from humanpred_ros.geometry.chain import KinematicChain
+from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.planning.validity.motion_check import MotionChecker
-from humanpred_ros.robot.chain import KinematicChain
 from humanpred_ros.robot.goal import Goal
 
 #: Limits are written with about ten digits, configurations with six, rad.

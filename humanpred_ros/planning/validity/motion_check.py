@@ -18,13 +18,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import PlanningError
+from humanpred_ros.geometry.chain import BodySpheres, KinematicChain
+from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.planning.timing.trajectory import TimedTrajectory
 from humanpred_ros.planning.validity import motion_kernels
 from humanpred_ros.planning.validity.motion_pieces import curves, halves, lines, place_on
-from humanpred_ros.robot.chain import BodySpheres, KinematicChain
-from humanpred_ros.robot.distance_field import SignedDistanceField
 
 OBSTACLE, SELF = "obstacle", "self"
 #: Ways shorter than this are not halved any more, m: clearances within half of it of the padding count as

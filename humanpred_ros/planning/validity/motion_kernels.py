@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.compiled import exact
+from humanpred_ros.geometry.compiled import exact
 
 #: A piece is never halved more often: 2^-40 of a second moves nothing.
 _DEEPEST = 40

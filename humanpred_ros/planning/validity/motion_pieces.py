@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.planning.timing.trajectory import TimedTrajectory
 
 

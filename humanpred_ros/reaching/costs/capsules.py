@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, frozen
 from humanpred_ros.errors import HumanModelError
+from humanpred_ros.geometry.capsules import Box, Capsule, EllipticCylinder, Sphere
+from humanpred_ros.geometry.checks import FloatArray, frozen
 from humanpred_ros.human.bodies import Body
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.human.shapes import Box, Capsule, EllipticCylinder, Sphere
 
 #: Bodies that move with a reach: trunk and right arm. P2 leaves the pelvis out, whose joints come first.
 MOVING_BODIES = (

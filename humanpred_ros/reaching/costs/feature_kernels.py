@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.compiled import exact, fast
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.compiled import exact, fast
 
 #: How far a rule of `stencils` looks to each side.
 REACH = 3

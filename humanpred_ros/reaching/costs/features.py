@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import ArrayError, MotionError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.human.chain_points import ChainPoints
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching.costs import feature_kernels

@@ -7,8 +7,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, frozen
 from humanpred_ros.errors import UsageError
+from humanpred_ros.geometry.checks import FloatArray, frozen
 from humanpred_ros.reaching.costs.features import N_FEATURES, N_SMOOTHNESS
 
 #: Of squared posture velocity in the baselines: 100 x the 1e-4 that P2's parameter files multiply it by, over the

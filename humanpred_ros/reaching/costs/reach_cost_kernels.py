@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.compiled import fast
+from humanpred_ros.geometry.compiled import fast
 
 # P2's rules over offsets -2..+3 (facts section 4); see `stencils.RULES`.
 _V = tuple(np.float32(c / 6.0) for c in (-2.0, -3.0, 6.0, -1.0))

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import PlanningError
+from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.human.chain_points import ChainPoints
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.planning.stomp.costs import CostTerm, JointCostTerm, as_batch
 from humanpred_ros.reaching.costs import reach_cost_kernels as kernels
 from humanpred_ros.reaching.costs.capsules import MOVING_BODIES, BodyCapsules
 from humanpred_ros.reaching.costs.features import (
@@ -31,7 +31,7 @@ from humanpred_ros.reaching.costs.features import (
     FeatureConfig,
     ReachSituation,
 )
-from humanpred_ros.robot.distance_field import SignedDistanceField
+from humanpred_ros.stomp.costs import CostTerm, JointCostTerm, as_batch
 
 Float32Array = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]

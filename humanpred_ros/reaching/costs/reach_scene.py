@@ -9,11 +9,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import SceneError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
+from humanpred_ros.geometry.distance_field import SignedDistanceField, build_distance_field
+from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
 from humanpred_ros.reaching.costs.reach_cost_kernels import lower_to_capsules
-from humanpred_ros.robot.distance_field import SignedDistanceField, build_distance_field
-from humanpred_ros.robot.shapes import Box, Obstacle, planar_pose
 
 #: Distances above this need not be told apart: clearance plus the thickest body's radius, and what an interpolated
 #: distance may be off.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.compiled import fast
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.compiled import fast
 
 #: Columns that are solved together, so that a band's rows stay in the cache: 8 rows of 16 kB.
 _TOGETHER = 2048

@@ -13,8 +13,8 @@ from functools import lru_cache
 import numpy as np
 from scipy.linalg import cholesky_banded, solveh_banded
 
-from humanpred_ros.checks import FloatArray, frozen
 from humanpred_ros.errors import MotionError
+from humanpred_ros.geometry.checks import FloatArray, frozen
 from humanpred_ros.reaching.costs.feature_kernels import REACH
 from humanpred_ros.reaching.costs.smooth_noise_kernels import solve_upper
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching.futures.end_postures import HAND, N_START
 

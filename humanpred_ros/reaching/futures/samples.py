@@ -14,10 +14,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import PlanningError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.occupancy.forecast_config import MOST_FUTURES
-from humanpred_ros.planning.stomp.planner import StompConfig
 from humanpred_ros.reaching.costs.reach_scene import ReachScene
 from humanpred_ros.reaching.futures.end_postures import EndPosture, standing
 from humanpred_ros.reaching.futures.model import ReachModel
@@ -25,6 +24,7 @@ from humanpred_ros.reaching.futures.progress import ReachProgress
 from humanpred_ros.reaching.futures.shape import ReachShape
 from humanpred_ros.reaching.prediction.planner import ReachPlanner, ReachPlannerConfig, unit_deviation
 from humanpred_ros.reaching.prediction.posture_bounds import PostureBounds
+from humanpred_ros.stomp.planner import StompConfig
 
 #: STOMP needs some noise for every DoF.
 _LEAST_NOISE, _MOST_NOISE = 1e-6, 0.003

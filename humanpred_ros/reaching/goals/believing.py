@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.compiled import exact
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.compiled import exact
 
 #: No reaching hand is faster, m/s: ISO 13855 counts with 2 m/s at most when hands approach a machine, and 0.6 m in
 #: 0.3 s, as fast as people can, has a peak of 3.75 m/s (minimum jerk: 1.875 times the mean).

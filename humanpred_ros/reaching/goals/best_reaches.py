@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.compiled import exact
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.compiled import exact
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching.futures.end_postures import EndPostures
 from humanpred_ros.recognition.reach_features import POINTS, point_links

@@ -24,8 +24,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.compiled import exact
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.compiled import exact
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.reaching.goals.believing import ANEW, FOUND, LEFT_OUT, Belief, judged

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, checked
 from humanpred_ros.errors import ArrayError, HumanModelError, MotionError, UsageError
+from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.reaching.futures.progress import ReachProgress

@@ -14,8 +14,8 @@ from functools import cached_property
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import ArrayError, UsageError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.reaching.futures.end_postures import EndPostures
 from humanpred_ros.reaching.goals.features import N_PARTS, excess_costs
 from humanpred_ros.reaching.goals.untold import UntoldPlaces

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import ArrayError, LibraryFormatError, UsageError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.cleaning import DROP_REASONS, flag_library
 from humanpred_ros.motion.motion import MotionLibrary

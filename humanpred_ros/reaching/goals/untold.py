@@ -12,8 +12,8 @@ from statistics import NormalDist
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import ArrayError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching.futures.end_postures import EndPostures, standing
 from humanpred_ros.recognition.reach_features import POINTS, point_links

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.compiled import fast
+from humanpred_ros.geometry.compiled import fast
 
 #: Kinds of fixed obstacles: half sizes are (x, y, z) of a box; (radius, -, half the height) of a cylinder.
 BOX, CYLINDER = 0, 1

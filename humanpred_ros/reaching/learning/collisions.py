@@ -19,15 +19,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import UsageError
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.shapes import Cylinder, Obstacle
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching.costs.capsules import MOVING_BODIES, BodyCapsules
 from humanpred_ros.reaching.costs.reach_costs import ReachBody
 from humanpred_ros.reaching.costs.reach_scene import ReachScene
 from humanpred_ros.reaching.learning import collision_kernels as kernels
 from humanpred_ros.reaching.learning.splitting import Demonstration
-from humanpred_ros.robot.shapes import Cylinder, Obstacle
 
 _FAR_M = 1e3
 

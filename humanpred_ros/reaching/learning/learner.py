@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from humanpred_ros import __version__
-from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import MotionError, UsageError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
 from humanpred_ros.reaching.costs.features import FEATURE_NAMES, N_FEATURES, FeatureConfig, ReachFeatures

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
-from humanpred_ros.compiled import fast
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.compiled import fast
 
 
 @fast

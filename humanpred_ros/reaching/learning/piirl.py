@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import MotionError, UsageError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.reaching.costs.features import FEATURE_NAMES, N_FEATURES, ReachFeatures
 from humanpred_ros.reaching.learning import loss_kernels
 from humanpred_ros.reaching.learning.collisions import ReachCollisions, Touch

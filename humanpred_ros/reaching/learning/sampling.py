@@ -11,8 +11,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import MotionError, UsageError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.reaching.costs.stencils import jerk_covariance
 from humanpred_ros.reaching.learning.splitting import Demonstration
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, frozen
 from humanpred_ros.errors import MotionError, UsageError
+from humanpred_ros.geometry.checks import FloatArray, frozen
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import ACTIVE, ReachRecording
 from humanpred_ros.reaching.costs.features import ReachFeatures, ReachSituation

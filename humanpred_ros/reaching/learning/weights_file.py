@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import HumanPredError, ModelFileError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.reaching.costs.features import FEATURE_NAMES, N_FEATURES, SCALES
 from humanpred_ros.reaching.learning.learner import ReachWeights
 

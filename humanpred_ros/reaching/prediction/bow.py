@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, frozen
 from humanpred_ros.errors import MotionError
+from humanpred_ros.geometry.checks import FloatArray, frozen
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
 from humanpred_ros.reaching.prediction.task import ReachTask

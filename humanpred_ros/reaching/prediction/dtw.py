@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, checked
-from humanpred_ros.compiled import exact
 from humanpred_ros.errors import MotionError
+from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.compiled import exact
 
 
 def warped_sum(costs: FloatArray) -> float:

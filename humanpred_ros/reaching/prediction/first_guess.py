@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import HumanModelError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching.prediction.trivial import minimum_jerk
 

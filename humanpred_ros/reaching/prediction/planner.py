@@ -12,13 +12,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import MotionError, PlanningError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
+from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.human.chain_points import ChainPoints
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.planning.stomp import iteration_kernels
-from humanpred_ros.planning.stomp.planner import StompConfig, StompPlanner
-from humanpred_ros.planning.stomp.smoothness import smoothness
 from humanpred_ros.reaching.costs.capsules import BodyCapsules
 from humanpred_ros.reaching.costs.features import LINK_POINTS, N_FEATURES, FeatureConfig, ReachSituation
 from humanpred_ros.reaching.costs.reach_costs import (
@@ -32,7 +30,9 @@ from humanpred_ros.reaching.costs.reach_scene import ReachScene
 from humanpred_ros.reaching.prediction.first_guess import FirstGuess, straight_line
 from humanpred_ros.reaching.prediction.posture_bounds import PostureBounds
 from humanpred_ros.reaching.prediction.task import ReachTask
-from humanpred_ros.robot.distance_field import SignedDistanceField
+from humanpred_ros.stomp import iteration_kernels
+from humanpred_ros.stomp.planner import StompConfig, StompPlanner
+from humanpred_ros.stomp.smoothness import smoothness
 
 #: Beyond the cutoff of every feature.
 _FAR_M = 1e3

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import UsageError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.reaching.costs.stencils import PADDING
 from humanpred_ros.reaching.prediction.planner import PlannedReach, ReachPlanner, resampled
 from humanpred_ros.reaching.prediction.task import ReachTask

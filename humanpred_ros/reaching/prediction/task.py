@@ -7,8 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray, checked, frozen
 from humanpred_ros.errors import MotionError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import ReachRecording
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import MotionError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import ReachRecording
 from humanpred_ros.reaching.prediction.task import ReachTask

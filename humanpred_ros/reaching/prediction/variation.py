@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import MotionError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.reach_recordings import ReachRecording
 from humanpred_ros.reaching.prediction.trivial import minimum_jerk
 

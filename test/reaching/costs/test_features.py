@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from paths import shared_data
 from reaching_people import MODEL, START, recording
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import ArrayError, HumanPredError, MotionError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
 from humanpred_ros.reaching.costs.features import (

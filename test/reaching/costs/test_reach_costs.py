@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from reaching_people import GOAL, MODEL, PARTNER, START, reach
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import PlanningError
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.reaching.costs.features import LINK_POINTS, N_FEATURES, ReachFeatures, ReachSituation
 from humanpred_ros.reaching.costs.reach_costs import BodyCost, PostureSmoothness, ReachBody
 from humanpred_ros.reaching.costs.reach_scene import ReachScene
-from humanpred_ros.robot.distance_field import SignedDistanceField
 
 N = 100
 FEATURES = ReachFeatures(MODEL)

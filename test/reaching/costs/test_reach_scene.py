@@ -7,7 +7,7 @@ import pytest
 from reaching_people import MODEL, PARTNER, START
 
 from humanpred_ros.errors import ArrayError, HumanModelError, SceneError
-from humanpred_ros.human.shapes import Capsule
+from humanpred_ros.geometry.capsules import Capsule
 from humanpred_ros.reaching.costs.capsules import MOVING_BODIES, BodyCapsules
 from humanpred_ros.reaching.costs.reach_scene import CAP_M, ReachScene
 from humanpred_ros.robot.scene import load_scene

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from paths import shared_data
 from small_library import REST, small_library
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import HumanModelError, MotionError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.reach_recordings import load_reach_recordings

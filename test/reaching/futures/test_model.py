@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from small_library import REST, small_library
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import HumanModelError, MotionError, PlanningError
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching.costs.named_weights import named_weights
 from humanpred_ros.reaching.costs.reach_scene import ReachScene
@@ -18,7 +19,6 @@ from humanpred_ros.reaching.futures.end_postures import HAND
 from humanpred_ros.reaching.futures.model import ReachModel
 from humanpred_ros.reaching.futures.progress import ReachProgress
 from humanpred_ros.reaching.futures.samples import ReachFutures, ReachFuturesConfig
-from humanpred_ros.robot.shapes import Box, Obstacle, planar_pose
 
 HUMAN = HumanModel.kinect12()
 WEIGHTS = named_weights("authors_dynamic")

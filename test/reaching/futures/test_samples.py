@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_library import REST, small_library
 
-from humanpred_ros.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching.futures.end_postures import HAND
 from humanpred_ros.reaching.futures.model import ReachModel

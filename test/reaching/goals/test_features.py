@@ -10,8 +10,8 @@ from reaching_people import MODEL as MOCAP
 from reaching_people import reach
 from small_library import DOF_NAMES, REST, small_library
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import HumanModelError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.reaching.futures.end_postures import EndPostures

@@ -12,7 +12,6 @@ from reaching_people import MODEL as MOCAP
 from reaching_people import reach
 from small_library import small_library
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import (
     ArrayError,
     HumanModelError,
@@ -21,7 +20,8 @@ from humanpred_ros.errors import (
     MotionError,
     UsageError,
 )
-from humanpred_ros.experiments.recognition.runs import at_speed
+from humanpred_ros.evaluation.recognition.runs import at_speed
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.placement import placed, turn_and_shift

@@ -10,8 +10,8 @@ from reaching_people import MODEL as MOCAP
 from reaching_people import recording
 from small_library import small_library
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import ArrayError, HumanModelError, UsageError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.reaching.goals.features import N_PARTS, PARTS, REACHED_M, excess_costs

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from paths import shared_data
 from reaching_people import MODEL, recording
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import UsageError
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.shapes import Box, Cylinder, Obstacle, planar_pose
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
 from humanpred_ros.reaching.costs.capsules import MOVING_BODIES, BodyCapsules
 from humanpred_ros.reaching.costs.features import FeatureConfig, ReachFeatures
@@ -21,7 +22,6 @@ from humanpred_ros.reaching.costs.stencils import jerk_covariance
 from humanpred_ros.reaching.learning import collision_kernels as kernels
 from humanpred_ros.reaching.learning.collisions import CollisionConfig, ReachCollisions
 from humanpred_ros.reaching.learning.splitting import Demonstration, demonstration
-from humanpred_ros.robot.shapes import Box, Cylinder, Obstacle, planar_pose
 
 N = 30
 FEATURES = ReachFeatures(MODEL, FeatureConfig(n_waypoints=N))

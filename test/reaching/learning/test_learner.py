@@ -12,6 +12,7 @@ from reaching_people import MODEL, recording
 
 from humanpred_ros import __version__
 from humanpred_ros.errors import HumanModelError, MotionError, UsageError
+from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import Jump, ReachRecording, load_reach_recordings
 from humanpred_ros.reaching.costs.features import N_FEATURES, FeatureConfig
@@ -21,7 +22,6 @@ from humanpred_ros.reaching.learning.learner import LearningConfig, ReachLearner
 from humanpred_ros.reaching.learning.piirl import PiirlConfig
 from humanpred_ros.reaching.learning.sampling import SamplingConfig
 from humanpred_ros.reaching.learning.splitting import SplittingConfig
-from humanpred_ros.robot.shapes import Box, Obstacle, planar_pose
 
 CONFIG = LearningConfig(
     features=FeatureConfig(n_waypoints=30),

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from reaching_people import MODEL, recording
 from scipy.optimize import minimize
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import MotionError, UsageError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.reaching.costs.features import (
     DISTANCE_NAMES,
     FEATURE_NAMES,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from reaching_people import MODEL, recording
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import MotionError, UsageError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.reaching.costs.features import ReachFeatures
 from humanpred_ros.reaching.costs.stencils import standard_deviation
 from humanpred_ros.reaching.learning.sampling import SamplingConfig, sample_around

@@ -13,8 +13,8 @@ from paths import shared_data
 from reaching_people import MODEL, recording
 from scipy.spatial.transform import Rotation
 
-from humanpred_ros.checks import FloatArray
 from humanpred_ros.errors import HumanModelError, MotionError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
 from humanpred_ros.reaching.prediction.distances import ReachMetric, angles, quaternions
 from humanpred_ros.reaching.prediction.dtw import warped_sum

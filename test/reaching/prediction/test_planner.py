@@ -14,7 +14,6 @@ from humanpred_ros.errors import HumanModelError, MotionError, PlanningError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
-from humanpred_ros.planning.stomp.smoothness import accelerations_matrix
 from humanpred_ros.reaching.costs.features import ReachFeatures, ReachSituation
 from humanpred_ros.reaching.costs.named_weights import NAMED_WEIGHTS, named_weights
 from humanpred_ros.reaching.costs.reach_scene import ReachScene
@@ -27,6 +26,7 @@ from humanpred_ros.reaching.prediction.planner import (
 )
 from humanpred_ros.reaching.prediction.posture_bounds import PostureBounds
 from humanpred_ros.reaching.prediction.task import ReachTask
+from humanpred_ros.stomp.smoothness import accelerations_matrix
 
 RECORDINGS = [recording(seed) for seed in range(3)]
 BOUNDS = PostureBounds.from_recordings(RECORDINGS, MODEL)

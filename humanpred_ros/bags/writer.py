@@ -1,0 +1,309 @@
+"""Writes a rosbag2 directory that survives an interruption, readable by ros2 bag, rosbags and Foxglove."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Literal
+
+from mcap.writer import CompressionType, Writer
+from rosbags.interfaces import Qos
+
+from humanpred_ros import __version__
+from humanpred_ros.bags.messages import TypeDefinition, serialise, type_definition
+from humanpred_ros.bags.metadata import BagSummary, TopicInfo, metadata_text
+from humanpred_ros.bags.qos import DEFAULT_QOS, qos_as_text
+from humanpred_ros.errors import BagError
+
+_COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
+_LAST_TIME_NS = 2**63 - 1
+
+
+@dataclass(frozen=True)
+class StorageOptions:
+    """How messages are stored.
+
+    Attributes:
+        compression: of each chunk.
+        chunk_bytes: a chunk is closed when it has grown beyond this size.
+        flush_period_s: a chunk is closed by the first message after this time, so that an interruption
+            loses no more than about that; 0 closes one after every message.
+        flush_messages: a chunk is closed after this many messages, too.
+    """
+
+    compression: Literal["zstd", "lz4", "none"] = "zstd"
+    chunk_bytes: int = 1 << 20
+    flush_period_s: float = 0.5
+    flush_messages: int = 10_000
+
+    def __post_init__(self) -> None:
+        if self.compression not in _COMPRESSION:
+            raise BagError(f"wanted compression {', '.join(_COMPRESSION)}, got {self.compression!r}")
+        if self.chunk_bytes < 1 or self.flush_messages < 1 or not self.flush_period_s >= 0:
+            raise BagError(f"wanted a positive chunk size and message count and a period >= 0, got {self}")
+
+
+class BagWriter:
+    """Writes one rosbag2 directory; use it as a context manager. Safe to call from several threads.
+
+    While it runs, every closed chunk is already with the operating system: after a kill the file can be
+    salvaged up to there. Leaving the block writes index and footer and then metadata.yaml. A `staged`
+    bag appears under its name only when complete, and not at all if the block raises; a live bag keeps
+    what was recorded until then.
+
+    Args:
+        directory: the bag, `<directory>/{metadata.yaml, <name>_0.mcap}`.
+        options: storage.
+        staged: write beside and rename at the end.
+        overwrite: replace an existing bag (only a folder that holds nothing but a bag).
+        clock: seconds, steady; paces the flushing only.
+
+    Raises:
+        BagError: the directory exists, or cannot be written.
+    """
+
+    def __init__(
+        self,
+        directory: str | Path,
+        *,
+        options: StorageOptions | None = None,
+        staged: bool = False,
+        overwrite: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.directory = Path(directory)
+        self._options = options or StorageOptions()
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._topics: dict[str, TopicInfo] = {}
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[tuple[str, str], int] = {}
+        self._counts: dict[str, int] = {}
+        self._custom: dict[str, str] = {}
+        self._start_ns, self._end_ns = _LAST_TIME_NS, 0
+        self._pending = 0
+        self._overwrite = overwrite
+        name = self.directory.name
+        if not name:
+            raise BagError(f"wanted a name for the bag's folder, got {str(directory)!r}")
+        if os.path.lexists(self.directory) and not overwrite:
+            raise BagError(
+                f"{self.directory}: wanted a new folder, this one exists; choose another name or overwrite it"
+            )
+        if self.directory.exists():
+            require_only_a_bag(self.directory)
+        self._staged = staged
+        self._folder = self.directory.with_name(f".{name}.partial-{os.getpid()}") if staged else self.directory
+        self._file_name = f"{name}_0.mcap"
+        try:
+            if self._folder.exists():  # a live bag being replaced, or the remains of a dead process of the same id
+                require_only_a_bag(self._folder)
+                shutil.rmtree(self._folder)
+            self._folder.mkdir(parents=True)
+            self._stream: IO[bytes] | None = (self._folder / self._file_name).open("xb")
+        except OSError as trouble:
+            raise BagError(f"{self.directory}: cannot be created ({trouble}); choose a writable place") from trouble
+        self._mcap: Any = Writer(
+            self._stream,
+            chunk_size=self._options.chunk_bytes,
+            compression=_COMPRESSION[self._options.compression],
+            enable_data_crcs=True,
+        )
+        self._mcap.start(profile="ros2", library=f"humanpred_ros {__version__}")
+        self._last_flush_s = clock()
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Names of the topics added so far."""
+        return tuple(self._topics)
+
+    def add_topic(
+        self,
+        name: str,
+        msgtype: str,
+        *,
+        qos: Qos | tuple[Qos, ...] = DEFAULT_QOS,
+        definition: TypeDefinition | None = None,
+        encoding: str = "cdr",
+    ) -> None:
+        """Announce a topic; doing it again with the same type changes nothing.
+
+        Args:
+            name: topic name.
+            msgtype: such as `std_msgs/msg/String`.
+            qos: what publishers offer.
+            definition: needed only for types outside Jazzy's common interfaces.
+            encoding: of the messages; everything in ROS 2 is `cdr`.
+
+        Raises:
+            BagError: the topic exists with another type.
+            UsageError: unknown type without a definition.
+        """
+        definition = definition or type_definition(msgtype)
+        profiles = (qos,) if isinstance(qos, Qos) else tuple(qos)
+        with self._lock:
+            self._require_open()
+            known = self._topics.get(name)
+            if known is not None:
+                if known.msgtype != msgtype:
+                    raise BagError(
+                        f"topic {name}: wanted {known.msgtype} as announced, got {msgtype}; use another topic"
+                    )
+                return
+            schema = (msgtype, definition.text)
+            if schema not in self._schemas:
+                self._schemas[schema] = self._mcap.register_schema(
+                    msgtype, definition.encoding, definition.text.encode()
+                )
+            self._channels[name] = self._mcap.register_channel(
+                name,
+                encoding,
+                self._schemas[schema],
+                {"offered_qos_profiles": qos_as_text(profiles), "topic_type_hash": definition.type_hash},
+            )
+            self._topics[name] = TopicInfo(name, msgtype, 0, encoding, profiles, definition.type_hash)
+            self._counts[name] = 0
+
+    def write(self, topic: str, log_time_ns: int, data: bytes, publish_time_ns: int | None = None) -> None:
+        """Write one message given as CDR bytes.
+
+        Args:
+            topic: announced by `add_topic`.
+            log_time_ns: when it was received, nanoseconds since the epoch.
+            data: the bytes as they travel over DDS.
+            publish_time_ns: when it was sent; the same as `log_time_ns` if not known.
+
+        Raises:
+            BagError: unknown topic, impossible time, closed bag, or the disk refuses.
+        """
+        if topic not in self._channels:
+            raise BagError(f"topic {topic}: wanted one of {list(self._topics)}; announce it with add_topic first")
+        sent_ns = log_time_ns if publish_time_ns is None else publish_time_ns
+        if not (0 <= log_time_ns <= _LAST_TIME_NS and 0 <= sent_ns <= _LAST_TIME_NS):
+            raise BagError(f"topic {topic}: wanted times from 0 to 2^63 - 1 ns, got {log_time_ns} and {sent_ns}")
+        with self._lock:
+            self._require_open()
+            try:
+                self._mcap.add_message(self._channels[topic], int(log_time_ns), bytes(data), int(sent_ns))
+                self._counts[topic] += 1
+                self._start_ns = min(self._start_ns, int(log_time_ns))
+                self._end_ns = max(self._end_ns, int(log_time_ns))
+                self._pending += 1
+                now_s = self._clock()
+                due = now_s - self._last_flush_s >= self._options.flush_period_s
+                if due or self._pending >= self._options.flush_messages:
+                    self._flush(now_s)
+            except OSError as trouble:
+                raise self._cannot_write(trouble) from trouble
+
+    def write_message(self, topic: str, log_time_ns: int, message: Any, publish_time_ns: int | None = None) -> None:
+        """Write one message of the type store (see `messages`), announcing its topic if need be."""
+        if topic not in self._channels:
+            self.add_topic(topic, message.__msgtype__)
+        elif self._topics[topic].msgtype != message.__msgtype__:
+            raise BagError(f"topic {topic}: wanted a {self._topics[topic].msgtype}, got a {message.__msgtype__}")
+        self.write(topic, log_time_ns, serialise(message), publish_time_ns)
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write facts about the bag: an MCAP metadata record, and `<name>.<key>` in metadata.yaml's custom_data."""
+        if name == "rosbag2":
+            raise BagError("metadata record: wanted a name other than 'rosbag2', which rosbag2 keeps for itself")
+        texts = {str(key): str(value) for key, value in values.items()}
+        with self._lock:
+            self._require_open()
+            try:
+                self._mcap.add_metadata(name, texts)
+            except OSError as trouble:
+                raise self._cannot_write(trouble) from trouble
+            self._custom.update({f"{name}.{key}": value for key, value in texts.items()})
+
+    def flush(self) -> None:
+        """Close the chunk and hand it to the operating system; for recorders, on a timer of their own."""
+        with self._lock:
+            self._require_open()
+            try:
+                self._flush(self._clock())
+            except OSError as trouble:
+                raise self._cannot_write(trouble) from trouble
+
+    def close(self) -> None:
+        """Write index, footer and metadata.yaml, and put a staged bag in place; a second call does nothing."""
+        with self._lock:
+            if self._stream is None:
+                return
+            stream, self._stream = self._stream, None
+            text = metadata_text(self._summary())
+            try:
+                with stream:
+                    self._mcap.add_metadata(
+                        "rosbag2", {"serialized_metadata": metadata_text(self._summary(), bare=True)}
+                    )
+                    self._mcap.finish()
+                temporary = self._folder / "metadata.yaml.partial"
+                temporary.write_text(text, encoding="utf-8")
+                temporary.replace(self._folder / "metadata.yaml")
+                if self._staged:
+                    self._put_in_place()
+            except OSError as trouble:
+                if self._staged:
+                    shutil.rmtree(self._folder, ignore_errors=True)
+                raise self._cannot_write(trouble) from trouble
+
+    def discard(self) -> None:
+        """Close without finishing and remove what was written."""
+        with self._lock:
+            if self._stream is None:
+                return
+            stream, self._stream = self._stream, None
+            stream.close()
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is not None and self._staged:
+            self.discard()
+        else:
+            self.close()
+
+    def _flush(self, now_s: float) -> None:
+        self._mcap.flush()
+        self._pending, self._last_flush_s = 0, now_s
+
+    def _summary(self) -> BagSummary:
+        topics = tuple(topic.with_count(self._counts[name]) for name, topic in self._topics.items())
+        return BagSummary((self._file_name,), self._start_ns, self._end_ns, topics, dict(self._custom))
+
+    def _put_in_place(self) -> None:
+        if self.directory.exists():
+            aside = self.directory.with_name(f".{self.directory.name}.replaced-{os.getpid()}")
+            self.directory.rename(aside)
+            self._folder.rename(self.directory)
+            shutil.rmtree(aside, ignore_errors=True)
+        else:
+            self._folder.rename(self.directory)
+
+    def _require_open(self) -> None:
+        if self._stream is None:
+            raise BagError(f"{self.directory}: wanted an open bag, this one is closed; open a new one")
+
+    def _cannot_write(self, trouble: OSError) -> BagError:
+        return BagError(f"{self.directory}: cannot be written ({trouble}); free space or choose another place")
+
+
+def require_only_a_bag(folder: Path) -> None:
+    """Raise BagError unless `folder` holds nothing but a bag: it is about to be replaced."""
+    if not folder.is_dir():
+        raise BagError(f"{folder}: wanted a folder with a bag to replace, got a file; remove it yourself")
+    for entry in folder.iterdir():
+        if entry.name not in ("metadata.yaml", "metadata.yaml.partial") and entry.suffix != ".mcap":
+            raise BagError(f"{folder}: wanted nothing but a bag to replace, found {entry.name}; remove it yourself")

@@ -1,0 +1,111 @@
+"""Every evaluation leaves a JSON file for programs; this makes it whole, comparable and safe to write."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+import platform
+import re
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from humanpred_ros import __version__
+from humanpred_ros.errors import UsageError
+from humanpred_ros.evaluation.parallel import usable_cores
+from humanpred_ros.motion.motion import MotionLibrary
+
+#: A list of numbers, which reads better on one line.
+_NUMBERS = re.compile(r"\[[-+.\deE\s,nul]+\]")
+
+
+def check_writable(path: str | Path, suffix: str = "") -> Path:
+    """Return `path` if a file can be written there; call it before the work starts.
+
+    Raises:
+        UsageError: another suffix, no such folder, a folder of that name, or no right to write.
+    """
+    path = Path(path)
+    if suffix and path.suffix.lower() != suffix:
+        raise UsageError(f"{path}: wanted a file name that ends with {suffix}; rename it")
+    if not path.parent.is_dir():
+        raise UsageError(f"{path}: wanted a file in a folder that exists, there is no {path.parent}; make it first")
+    if path.is_dir() or not os.access(path.parent, os.W_OK):
+        raise UsageError(f"{path}: wanted a file that can be written, this cannot; choose another")
+    return path
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a temporary file to write, in the same folder; it takes the name `path` only if all went well."""
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=path.suffix, dir=path.parent)
+        os.close(handle)
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(name, 0o666 & ~umask)  # mkstemp lets nobody else read
+    except OSError as trouble:
+        raise UsageError(f"{path}: cannot be written ({trouble.strerror}); choose another place") from trouble
+    try:
+        yield Path(name)
+        os.replace(name, path)
+    except OSError as trouble:
+        raise UsageError(f"{path}: cannot be written ({trouble.strerror}); choose another place") from trouble
+    finally:
+        Path(name).unlink(missing_ok=True)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write `plain(value)`; a file of that name is replaced when the new one is complete.
+
+    Raises:
+        UsageError: the file cannot be written.
+    """
+    text = json.dumps(plain(value), indent=1, allow_nan=False) + "\n"
+    text = _NUMBERS.sub(lambda found: " ".join(found[0].split()), text)
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON knows it: dataclasses as objects, arrays as lists, what is not finite as null."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def library_facts(library: MotionLibrary, *, by_class: bool = False, **further: Any) -> dict[str, Any]:
+    """Return what an evaluation says of the recordings it was made with, and what else there is to say of them."""
+    sizes = {label: len(library.of_class(label)) for label in library.labels}
+    return {
+        "name": library.name,
+        "n_motions": len(library),
+        **({"motions_per_class": sizes} if by_class else {}),
+        **further,
+        "provenance": dict(library.provenance),
+    }
+
+
+def machine_facts() -> dict[str, Any]:
+    """Return what the times in an evaluation depend on, and the version it was made with."""
+    return {
+        "package_version": __version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "platform": platform.platform(),
+        "usable_cores": usable_cores(),
+    }

@@ -1,0 +1,187 @@
+"""Reads off a recorded run how long every answer to a posture took, and which replanning steps were missed.
+
+Times begin when a posture was published (the sender's clock) and end when the answer was received by the recorder, a
+process of its own: what another node on this machine would see.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from humanpred_ros.bags.reader import BagReader
+from humanpred_ros.errors import BagError
+from humanpred_ros.viewing import run_topics as topics
+from humanpred_ros.viewing.tracks import RecordedDecision
+
+_DIAGNOSTICS = "/diagnostics"
+_READY = "ready"
+_PLANNER = "stomp_planner"
+#: Stamps are rounded to nanoseconds; steps are due this much early, as in the replanner.
+_DUE_TOLERANCE_S = 1e-6
+
+
+@dataclass(frozen=True)
+class Delays:
+    """Milliseconds of `n` answers; NaN where there was none."""
+
+    median_ms: float
+    p99_ms: float
+    most_ms: float
+    n: int
+
+    @classmethod
+    def of(cls, seconds: Sequence[float]) -> Delays:
+        if not len(seconds):
+            return cls(float("nan"), float("nan"), float("nan"), 0)
+        median, p99, most = 1e3 * np.quantile(np.asarray(seconds), (0.5, 0.99, 1.0))
+        return cls(float(median), float(p99), float(most), len(seconds))
+
+
+@dataclass(frozen=True)
+class Answers:
+    """How long the answers of one run took, and what was not answered.
+
+    Attributes:
+        occupancy_s: posture to occupancy, every posture.
+        step_s: posture to decision, every replanning step.
+        trajectory_s: posture to trajectory, every replanning step that sent one.
+        compute_s: what the planner itself says a step took.
+        iterations: fewest STOMP iterations of a goal in each step, goals that were set aside left out; fewer than
+            asked for mean that time ran out or the goal was hopeless.
+        late: steps whose plan came too late to be taken over.
+        skipped: steps that were due and not taken, because the planner was still busy with the one before.
+        unanswered: postures without an occupancy.
+        ready_s: from the start of the planner's process to its first word of being ready; NaN if it never was.
+    """
+
+    occupancy_s: tuple[float, ...]
+    step_s: tuple[float, ...]
+    trajectory_s: tuple[float, ...]
+    compute_s: tuple[float, ...]
+    iterations: tuple[int, ...]
+    late: int
+    skipped: int
+    unanswered: int
+    ready_s: float
+
+
+class _Heard(NamedTuple):
+    """A message: header stamp, when it was sent and when the recorder received it, ns; and the message."""
+
+    stamp_ns: int
+    sent_ns: int
+    heard_ns: int
+    message: Any
+
+
+@dataclass(frozen=True)
+class PostureAnswer:
+    """A posture and the occupancy that answered it.
+
+    Attributes:
+        stamp_ns: of both.
+        sent_ns: when the posture was published.
+        heard_ns: when the recorder received the occupancy; None if there was none.
+    """
+
+    stamp_ns: int
+    sent_ns: int
+    heard_ns: int | None
+
+    @property
+    def delay_s(self) -> float:
+        """From one to the other; NaN without an answer."""
+        return float("nan") if self.heard_ns is None else (self.heard_ns - self.sent_ns) * 1e-9
+
+
+def posture_answers(reader: BagReader) -> tuple[PostureAnswer, ...]:
+    """Return every posture of a run in real time with its answer.
+
+    Raises:
+        BagError: no postures, or a damaged bag.
+    """
+    postures = _heard(reader, topics.posture_topic(reader.topics))
+    if not postures:
+        raise BagError(f"{reader.path}: wanted a run with postures, got none; did the tracker start?")
+    heard_ns = {entry.stamp_ns: entry.heard_ns for entry in _heard(reader, topics.OCCUPANCY)}
+    return tuple(PostureAnswer(entry.stamp_ns, entry.sent_ns, heard_ns.get(entry.stamp_ns)) for entry in postures)
+
+
+def answers_of(bag: Path, period_s: float, planner_started_ns: int) -> Answers:
+    """Return the answers recorded in `bag`.
+
+    Args:
+        bag: of a run in real time.
+        period_s: of a replanning step.
+        planner_started_ns: wall time at which the planner's process was started.
+
+    Raises:
+        BagError: no postures, or a damaged bag.
+    """
+    reader = BagReader(bag)
+    answers = posture_answers(reader)
+    published = {answer.stamp_ns: answer.sent_ns for answer in answers}
+    decisions = [(entry, topics.decision_of(entry.message, 0.0, 0.0)) for entry in _heard(reader, topics.DECISION)]
+    steps = [(entry, decision) for entry, decision in decisions if decision.is_step]
+    trajectories = _heard(reader, topics.TRAJECTORY)
+    return Answers(
+        occupancy_s=tuple(answer.delay_s for answer in answers if answer.heard_ns is not None),
+        step_s=_delays((entry for entry, _ in steps), published),
+        trajectory_s=_delays(_stamped_by_step(trajectories, decisions), published),
+        compute_s=tuple(decision.compute_s for _, decision in steps),
+        iterations=tuple(
+            min((goal.iterations for goal in decision.goals if goal.iterations), default=0) for _, decision in steps
+        ),
+        late=sum(decision.action == "missed" for _, decision in decisions),
+        skipped=skipped_steps([entry.stamp_ns * 1e-9 for entry, _ in steps], period_s),
+        unanswered=sum(answer.heard_ns is None for answer in answers),
+        ready_s=_ready_s(reader, planner_started_ns),
+    )
+
+
+def skipped_steps(stamps_s: Sequence[float], period_s: float) -> int:
+    """Return how many whole periods went by between neighbouring steps without one."""
+    gaps = np.diff(np.asarray(stamps_s, dtype=np.float64))
+    return int(np.maximum(np.floor((gaps + _DUE_TOLERANCE_S) / period_s) - 1, 0).sum())
+
+
+def _heard(reader: BagReader, topic: str | None) -> list[_Heard]:
+    if topic is None or topic not in reader.topics:
+        return []
+    found = []
+    for record in reader.messages([topic]):
+        message = reader.decode(record)
+        found.append(_Heard(topics.stamp_ns(message), record.publish_time_ns, record.log_time_ns, message))
+    return found
+
+
+def _delays(answers: Iterable[_Heard], published: Mapping[int, int]) -> tuple[float, ...]:
+    return tuple(
+        (answer.heard_ns - published[answer.stamp_ns]) * 1e-9 for answer in answers if answer.stamp_ns in published
+    )
+
+
+def _stamped_by_step(
+    trajectories: Iterable[_Heard], decisions: Sequence[tuple[_Heard, RecordedDecision]]
+) -> Iterable[_Heard]:
+    """Give each trajectory of a replanning step the step's stamp: it was sent right before its decision."""
+    order = sorted(decisions, key=lambda entry: entry[0].sent_ns)
+    times = [entry.sent_ns for entry, _ in order]
+    for trajectory in trajectories:
+        k = bisect_left(times, trajectory.sent_ns)
+        if k < len(order) and order[k][1].is_step:
+            yield trajectory._replace(stamp_ns=order[k][0].stamp_ns)
+
+
+def _ready_s(reader: BagReader, started_ns: int) -> float:
+    for entry in _heard(reader, _DIAGNOSTICS):
+        for status in entry.message.status:
+            if status.name == _PLANNER and status.message == _READY:
+                return (entry.sent_ns - started_ns) * 1e-9
+    return float("nan")

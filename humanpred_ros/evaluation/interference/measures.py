@@ -1,0 +1,233 @@
+"""The figures of one run of the arm beside a person: what it cost, how close it came, and when it arrived."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from humanpred_ros.evaluation.interference.motion import ExecutedMotion, goal_reached
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import Occupancy
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.motion import Motion
+from humanpred_ros.planning.decision import EVADE, HOLD, REPLAN, Decision
+from humanpred_ros.planning.timing.path import path_integral, path_parameter
+from humanpred_ros.robot.scene import Scene
+from humanpred_ros.robot.separation import Separation, SeparationMeter
+from humanpred_ros.stomp.costs import HumanOccupancyCost, as_batch
+
+#: What a unit of configuration distance costs beside the human (facts section 4, `cs_integral`).
+LENGTH_WEIGHT = 0.002
+#: Times between the configurations at which costs and clearances are read, s: the arm moves about 1 cm.
+SAMPLE_PERIOD_S = 0.01
+#: Over this long before a contact it is asked who came closer, s.
+_CLOSING_S = 0.1
+
+
+@dataclass(frozen=True)
+class Contact:
+    """The first moment at which the arm's spheres touch the human's body in a run.
+
+    Attributes:
+        t_s: data time.
+        deepest_m: least distance of the spheres in the whole run, negative.
+        surface_m: the same for points on the arm's surface. If it is positive, only the spheres, which contain the
+            arm and stick out by up to 0.06 m, touched, and perhaps not the arm.
+        robot_link, human_body: parts that touch first.
+        closed_by_human_m, closed_by_arm_m: by how much each came closer in the last 0.1 s before.
+        moved: "human", "arm" or "both": who came closer by more than a quarter of the sum.
+    """
+
+    t_s: float
+    deepest_m: float
+    surface_m: float
+    robot_link: str
+    human_body: str
+    closed_by_human_m: float
+    closed_by_arm_m: float
+    moved: str
+
+
+@dataclass(frozen=True)
+class RunFigures:
+    """One run.
+
+    Attributes:
+        scene, motion, method, seed: which.
+        cost: human occupancy integrated over the executed motion, under P1's final prediction, with 0.002 per unit of
+            its length (Table I).
+        cost_swept: the same under the voxels that the body really swept.
+        length: of the executed motion, configuration distance.
+        goal: reached at the end, None if none.
+        time_to_goal_s: from the human's first posture to rest at the goal; infinite if none is reached.
+        execution_s: from the arm's departure to rest; 0 if it never departs.
+        clearance_m, clearance_to: least distance of the arm's spheres to table and objects, and which.
+        least_distance_m: of the arm's spheres to the human's body at any posture, negative in contact.
+        least_distance_s: when.
+        contact: the first, None if there is none.
+        steps, replans, switches, holds, evasions: replanning steps; of all decisions, those that sent the arm on,
+            changed its goal, stopped it, and took it out of the person's way.
+        ended: last decision, with its reason.
+        step_ms: median time a replanning step took; machine-dependent.
+    """
+
+    scene: str
+    motion: str
+    method: str
+    seed: int
+    cost: float
+    cost_swept: float
+    length: float
+    goal: str | None
+    time_to_goal_s: float
+    execution_s: float
+    clearance_m: float
+    clearance_to: str
+    least_distance_m: float
+    least_distance_s: float
+    contact: Contact | None
+    steps: int
+    replans: int
+    switches: int
+    holds: int
+    evasions: int
+    ended: str
+    step_ms: float
+
+
+class Witness:
+    """Sees everything that happens in one scene with one person, and judges runs of the arm by it."""
+
+    def __init__(
+        self, scene: Scene, human: HumanModel, motion: Motion, final: Occupancy, swept: Occupancy, n_held: int
+    ) -> None:
+        """Take what is the same for all runs.
+
+        Args:
+            scene, human, motion: who and where.
+            final: P1's prediction after the motion's last posture.
+            swept: the voxels the body really swept in the motion.
+            n_held: how often the last posture is repeated at the end.
+        """
+        self.scene, self.human, self.motion = scene, human, motion
+        arm = scene.arm
+        offsets_ns, postures = motion.timeline(n_held)
+        self.t_s: FloatArray = np.array(offsets_ns) * 1e-9
+        self.postures = postures
+        n = arm.chain.n_joints
+        self.weights = np.array([float(arm.configuration_distance(np.zeros(n), unit)) for unit in np.eye(n)])
+        self._final = HumanOccupancyCost(arm.chain, arm.body_points(), final)
+        self._swept = HumanOccupancyCost(arm.chain, arm.body_points(), swept)
+
+    @cached_property
+    def meter(self) -> SeparationMeter:
+        """Distances to the postures at `t_s`."""
+        return SeparationMeter(self.scene.arm, self.human, self.scene.T_world_human, self.postures)
+
+    def path_cost(self, path: FloatArray, *, swept: bool = False) -> float:
+        """Return the cost of a path (N, D) under the final prediction, or under what was really swept."""
+        term = self._swept if swept else self._final
+        return executed_cost(term, path, self.weights)
+
+    def judge(self, method: str, seed: int, executed: ExecutedMotion, decisions: Sequence[Decision]) -> RunFigures:
+        """Return the figures of one run."""
+        _, path = executed.samples(SAMPLE_PERIOD_S)
+        rest_s = executed.rests_since()
+        # Nobody saw what happened after the person's last posture.
+        goal = goal_reached(self.scene, executed.q_end) if rest_s <= self.t_s[-1] else None
+        clearance, obstacle = self._clearance(path)
+        # Once both rest, nothing comes closer; the end of the motion counts even if the arm arrives before.
+        until = int(np.searchsorted(self.t_s, max(rest_s, self.motion.duration_s))) + 1
+        q_arm = executed.at(self.t_s)
+        apart = self.meter.measure(q_arm)
+        apart = Separation(apart.distance_m[:until], apart.part[:until], apart.body[:until])
+        closest = int(np.argmin(apart.distance_m))
+        steps = [decision for decision in decisions if decision.goals]
+        compute = [decision.compute_s for decision in steps if decision.compute_s > 0.0]
+        return RunFigures(
+            scene=self.scene.name,
+            motion=self.motion.name,
+            method=method,
+            seed=seed,
+            cost=self.path_cost(path),
+            cost_swept=self.path_cost(path, swept=True),
+            length=float(path_parameter(path, self.weights)[-1]),
+            goal=goal,
+            time_to_goal_s=rest_s if goal is not None else np.inf,
+            execution_s=max(0.0, rest_s - executed.departure_s),
+            clearance_m=clearance,
+            clearance_to=obstacle,
+            least_distance_m=apart.least_m,
+            least_distance_s=float(self.t_s[closest]),
+            contact=self._contact(apart, q_arm),
+            steps=len(steps),
+            replans=_begun(decisions, REPLAN),
+            switches=sum(decision.switched for decision in decisions),
+            holds=_begun(decisions, HOLD),
+            evasions=_begun(decisions, EVADE),
+            ended=f"{decisions[-1].action}: {decisions[-1].reason}" if decisions else "",
+            step_ms=1e3 * float(np.median(compute)) if compute else np.nan,
+        )
+
+    def _clearance(self, path: FloatArray) -> tuple[float, str]:
+        """Return the least distance of the arm's spheres to table and objects over a path, and to which."""
+        spheres = self.scene.arm.spheres()
+        centres = spheres.world_m(self.scene.arm.chain, path)
+        least = [
+            (float((obstacle.shape.distance(centres) - spheres.radius_m).min()), obstacle.name)
+            for obstacle in self.scene.obstacles
+        ]
+        return min(least)
+
+    def _contact(self, apart: Separation, q_arm: FloatArray) -> Contact | None:
+        touching = np.flatnonzero(apart.distance_m <= 0.0)
+        if not len(touching):
+            return None
+        k = int(touching[0])
+        since = int(np.searchsorted(self.t_s, self.t_s[k] - _CLOSING_S))
+        by_human, by_arm = self._closing(q_arm, since, k)
+        total = max(by_human, 0.0) + max(by_arm, 0.0)
+        movers = [name for name, by in (("human", by_human), ("arm", by_arm)) if total > 0.0 and by > 0.25 * total]
+        link = int(self.scene.arm.spheres().link[apart.part[k]])
+        surface = self.meter.measure_surface(q_arm).distance_m[: len(apart.distance_m)]
+        return Contact(
+            t_s=float(self.t_s[k]),
+            deepest_m=apart.least_m,
+            surface_m=float(surface.min()),
+            robot_link=self.scene.arm.link_names[link],
+            human_body=self.human.bodies[int(apart.body[k])].name,
+            closed_by_human_m=by_human,
+            closed_by_arm_m=by_arm,
+            moved="both" if len(movers) != 1 else movers[0],
+        )
+
+    def _closing(self, q_arm: FloatArray, since: int, until: int) -> tuple[float, float]:
+        """Return by how much the human's, and by how much the arm's movement brought them closer."""
+        before = self.meter.measure(q_arm).distance_m
+        arm_waits = np.concatenate([q_arm[:1], q_arm[:-1]])
+        # The human moves from one posture to the next while the arm stays, then the arm follows.
+        between = self.meter.measure(arm_waits).distance_m
+        steps = np.arange(since + 1, until + 1)
+        by_human = float((before[steps - 1] - between[steps]).sum())
+        by_arm = float((between[steps] - before[steps]).sum())
+        return by_human, by_arm
+
+
+def _begun(decisions: Sequence[Decision], action: str) -> int:
+    return sum(decision.action == action and decision.trajectory is not None for decision in decisions)
+
+
+def executed_cost(term: HumanOccupancyCost, path: FloatArray, weights: FloatArray) -> float:
+    """Return a path's human cost, unweighted, integrated over configuration distance, and 0.002 of its length.
+
+    Args:
+        term: the occupancy that counts, as it is, without the margin a planner keeps.
+        path: (N, D) densely sampled.
+        weights: (D,) of the configuration distance.
+    """
+    values = term.evaluate(as_batch(path[None]))[0][0].astype(np.float64)
+    length = float(path_parameter(path, weights)[-1])
+    return float(path_integral(values, path, weights)) + LENGTH_WEIGHT * length

@@ -1,0 +1,216 @@
+"""A recogniser is judged on motions it has not learned from; these are the runs, one motion or class left out each."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from copy import deepcopy
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from humanpred_ros.errors import HumanPredError
+from humanpred_ros.evaluation.recognition.classifiers import ClassifierConfig, make_evaluated, needs_of
+from humanpred_ros.evaluation.recognition.needs import check_needs
+from humanpred_ros.evaluation.recognition.scores import IntArray, percent_indices
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.motion.motion import Motion, MotionLibrary
+from humanpred_ros.motion.resampling import resample
+from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
+
+#: With one of three left out, two are left: the least that anybody can tell apart.
+LEAST_CLASSES_FOR_UNKNOWN = 3
+#: The whole library is fitted again, for the timing, until this much time has passed.
+_FIT_TIMING_S = 1.0
+_MOST_FITS = 5
+
+
+@dataclass(frozen=True)
+class ClassifierChoice:
+    """Which classifier to evaluate: a name of `EVALUATED`, and its settings; None for the default ones."""
+
+    name: str
+    config: ClassifierConfig | None = None
+
+    def make(self) -> IntentClassifier:
+        """Return a new classifier to be fitted. Raises UsageError for an unknown name, or settings of another."""
+        return make_evaluated(self.name, self.config)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings as plain values; empty if they are the default ones."""
+        return {} if self.config is None else asdict(self.config)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What a classifier said while one motion was played to it.
+
+    Attributes:
+        known: (100, C) at each percent, the probabilities given that the motion belongs to a class it learned.
+        unknown: (100,) the probability of no class.
+        refused: postures the classifier refused; its posterior then stays what it was.
+        update_ns: (T,) how long each update took.
+    """
+
+    known: FloatArray
+    unknown: FloatArray
+    refused: int
+    update_ns: IntArray
+
+
+@dataclass(frozen=True)
+class LeftOutMotion:
+    """Task: learn without this motion, then recognise it."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class LeftOutClass:
+    """Task: learn without this class, then see what is said about its motions."""
+
+    label: int
+
+
+Task = LeftOutMotion | LeftOutClass
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Result of one task.
+
+    Attributes:
+        traces: of a left-out motion, as recorded and at each further speed; of a left-out class, one for each of
+            its motions.
+        fit_s: times of fits of the whole library that this task happened to need.
+        cpu_s: processor time spent, by part.
+    """
+
+    traces: tuple[Trace, ...]
+    fit_s: tuple[float, ...]
+    cpu_s: dict[str, float]
+
+
+class LeftOutRuns:
+    """Carries a library to where tasks are run; the classifier fitted to all of it is made there, once."""
+
+    def __init__(self, choice: ClassifierChoice, library: MotionLibrary, speeds: Sequence[float]) -> None:
+        """Prepare the runs; `speeds` are further speeds, as factors of the recorded one."""
+        self.choice = choice
+        self.speeds = tuple(speeds)
+        # A library's provenance cannot be pickled, and no classifier learns from it.
+        self._name, self._motions = library.name, library.motions
+
+    def __call__(self, task: Task) -> Outcome:
+        """Run one task. Raises what the classifier's fit raises."""
+        return self._left_out_motion(task.name) if isinstance(task, LeftOutMotion) else self._left_out_class(task.label)
+
+    @cached_property
+    def library(self) -> MotionLibrary:
+        return MotionLibrary(self._name, self._motions)
+
+    @cached_property
+    def _fitted(self) -> tuple[IntentClassifier, tuple[float, ...]]:
+        times: list[float] = []
+        while True:
+            classifier = self.choice.make()
+            begun = time.perf_counter()
+            classifier = classifier.fit(self.library)
+            times.append(time.perf_counter() - begun)
+            if sum(times) > _FIT_TIMING_S or len(times) == _MOST_FITS:
+                return classifier, tuple(times)
+
+    def _left_out_motion(self, name: str) -> Outcome:
+        new = "_fitted" not in self.__dict__
+        whole, fit_s = self._fitted
+        motion, labels = self.library.find(name), self.library.labels
+        clock = [time.process_time()]
+        classifier = whole.fit_without(self.library, name)
+        clock.append(time.process_time())
+        traces = [play(classifier, motion, labels)]
+        clock.append(time.process_time())
+        traces += [play(classifier, at_speed(motion, speed), labels) for speed in self.speeds]
+        clock.append(time.process_time())
+        parts = ("fitting without a motion", "recognising it", "recognising it at other speeds")
+        cpu_s = dict(zip(parts, np.diff(clock).tolist(), strict=True))
+        return Outcome(tuple(traces), fit_s if new else (), cpu_s)
+
+    def _left_out_class(self, label: int) -> Outcome:
+        begun = time.process_time()
+        rest = self.library.select(lambda motion: motion.label != label)
+        classifier = self.choice.make().fit(rest)
+        traces = tuple(play(classifier, motion, rest.labels) for motion in self.library.of_class(label))
+        return Outcome(traces, (), {"unknown motions": time.process_time() - begun})
+
+
+def play(classifier: IntentClassifier, motion: Motion, labels: tuple[int, ...]) -> Trace:
+    """Show a motion to a classifier, posture by posture as a sensor would, and return what it said.
+
+    It is shown to a copy: what a classifier keeps from one motion to the next, such as where the person stands, must
+    not come from a motion it is tested on. Until the first posture it accepts it has said nothing: all classes
+    `labels`, which it learned, are equal then.
+    """
+    classifier = deepcopy(classifier)
+    classifier.start()
+    known = np.zeros((len(motion), len(labels)))
+    unknown = np.zeros(len(motion))
+    update_ns = np.zeros(len(motion), dtype=np.int64)
+    last: ClassPosterior | None = None
+    refused = 0
+    for k, (q, t_s) in enumerate(zip(motion.q, motion.t_s.tolist(), strict=True)):
+        begun = time.perf_counter_ns()
+        try:
+            last = classifier.update(q, t_s)
+        except HumanPredError:
+            refused += 1
+        update_ns[k] = time.perf_counter_ns() - begun
+        if last is None:
+            known[k] = 1.0 / len(labels)
+        else:
+            known[k] = last.given_known[[last.labels.index(label) for label in labels]]
+            unknown[k] = last.unknown
+    seen = percent_indices(len(motion))
+    return Trace(known[seen], unknown[seen], refused, update_ns)
+
+
+def at_speed(motion: Motion, speed: float) -> Motion:
+    """Return the motion as a sensor of the same period would see it, done `speed` times as fast.
+
+    Postures between frames are interpolated linearly, which takes some of the tracker's noise away.
+
+    Raises:
+        MotionError: so fast that fewer than two postures are left.
+    """
+    step_s = speed * motion.period_s
+    # Stamps are rounded to nanoseconds: a step that ends this little after the last frame ends on it.
+    n = int((motion.duration_s + 1e-9 * len(motion)) / step_s) + 1
+    stamps = np.minimum(motion.t_s[0] + step_s * np.arange(n), motion.t_s[-1])
+    seen = resample(motion, t_s=stamps)
+    return Motion(
+        motion.period_s * np.arange(n, dtype=np.float64), seen.q, seen.dof_names, seen.label, seen.index, seen.frame_id
+    )
+
+
+def tasks_for(library: MotionLibrary, with_unknown: bool) -> list[Task]:
+    """Return the tasks of an evaluation, the long ones first, motions in the order of the library."""
+    classes: list[Task] = [LeftOutClass(label) for label in library.labels] if with_unknown else []
+    return classes + [LeftOutMotion(motion.name) for motion in library]
+
+
+def unknown_left_out(library: MotionLibrary) -> str | None:
+    """Return why no class of a library can be left out whole, in words; None if each can."""
+    n = len(library.labels)
+    if n >= LEAST_CLASSES_FOR_UNKNOWN:
+        return None
+    return (
+        f"leaving out a whole class takes at least {LEAST_CLASSES_FOR_UNKNOWN}, so that two are left to tell apart; "
+        f"{library.name} has {n}"
+    )
+
+
+def check_evaluable(library: MotionLibrary, classifiers: Iterable[str]) -> None:
+    """Raise LibraryFormatError unless each motion can be left out for each of these classifiers (names)."""
+    check_needs(library, {name: needs_of(name) for name in classifiers}, "--classifier")

@@ -1,0 +1,266 @@
+"""What a sensor delivers over minutes: one person who stands, reaches, returns and stands, built from recordings.
+
+Recordings end while the hand still moves, and the next one begins somewhere else. So that no joint of two pieces asks
+for something a person could not do, the pieces are:
+
+- the recorded motion, as it is, noise and all;
+- a closing stroke, of least jerk, that takes up the recording's last velocity and brings every DoF to the posture
+  from which the next motion starts (angles the short way round), at half the motion's greatest palm speed: the rest
+  of the return. Where a library's motions end at the goal, the hand stops there instead, stays for a pause, and
+  then returns by such a stroke, which makes it a motion of its own: a `made` one;
+- a pause of standing in the posture that the next recording starts from, with the noise of recorded rests.
+
+Angles are recorded values or within half a turn: they wrap as the sensor's do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from humanpred_ros.errors import UsageError
+from humanpred_ros.evaluation.standing import StandingNoise, median_slope
+from humanpred_ros.evaluation.streams.truth import motion_span
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.motion import Motion, MotionLibrary
+from humanpred_ros.motion.resampling import is_angle, unwrap_angles
+
+_PALM = "right_palm"
+
+
+@dataclass(frozen=True)
+class StreamConfig:
+    """How pieces are put together.
+
+    Attributes:
+        pause_s: a pause is uniform in this range.
+        lead_s: standing before the first motion and after the last, at least.
+        stroke_s: shortest and longest closing stroke.
+        stroke_speed_share: a closing stroke's greatest speed, as a share of the motion's.
+        velocity_s: the recording's last velocity is the median slope of so much of its end.
+        stop_s: time to stop at the goal, where motions end there.
+    """
+
+    pause_s: tuple[float, float] = (1.0, 5.0)
+    lead_s: float = 2.0
+    stroke_s: tuple[float, float] = (0.3, 1.5)
+    stroke_speed_share: float = 0.5
+    velocity_s: float = 0.1
+    stop_s: float = 0.2
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.pause_s[0] <= self.pause_s[1]:
+            raise UsageError(f"streams: wanted pauses from above 0 s to no less than that, got {self.pause_s}")
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A motion within a stream.
+
+    Attributes:
+        name: of the recorded motion, `class/index`; a made return has the name of the motion before it.
+        label: class of the recorded motion.
+        made: True for a return that is not recorded.
+        start_s, stop_s: the recorded (or made) piece's first and last stamp in the stream.
+        onset_s, end_s: when the palm really moves (`motion_span`), in the stream.
+    """
+
+    name: str
+    label: int | None
+    made: bool
+    start_s: float
+    stop_s: float
+    onset_s: float
+    end_s: float
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Postures (T, D) at stamps (T,), and the motions in them by time."""
+
+    t_s: FloatArray
+    q: FloatArray
+    placed: tuple[Placed, ...]
+
+
+def returns_home(library: MotionLibrary, human: HumanModel) -> bool:
+    """Return whether the library's motions come back: half of them end nearer to their start than to their goal."""
+    shares = []
+    for motion in library:
+        palm = human.forward(motion.q)[_PALM]
+        away = np.linalg.norm(palm - palm[0], axis=1)
+        shares.append(away[-1] / max(float(away.max()), 1e-9))
+    return bool(np.median(shares) < 0.5)
+
+
+def build_stream(
+    motions: Sequence[Motion],
+    human: HumanModel,
+    noise: StandingNoise,
+    rng: np.random.Generator,
+    *,
+    come_back: bool,
+    config: StreamConfig | None = None,
+) -> Stream:
+    """Return one stream of the motions, in their order.
+
+    Args:
+        motions: at least one, with the DoFs of `human`.
+        human: tells where the palm is.
+        noise: of standing.
+        rng: draws pauses and noise.
+        come_back: the motions return by themselves (`returns_home`).
+        config: see there.
+
+    Raises:
+        UsageError: no motions.
+    """
+    if not motions:
+        raise UsageError("streams: wanted at least one motion, got none")
+    return _Builder(human, noise, rng, come_back, StreamConfig() if config is None else config).build(motions)
+
+
+def standing_stream(posture: FloatArray, duration_s: float, noise: StandingNoise, rng: np.random.Generator) -> Stream:
+    """Return a person who does nothing but stand in one posture (D,)."""
+    t_s, deviation = noise.draw(duration_s, rng)
+    return Stream(t_s, _wrapped(posture + deviation, noise.dof_names), ())
+
+
+class _Piece(NamedTuple):
+    motion: Motion
+    made: bool
+    start_s: float
+    stop_s: float
+
+
+class _Builder:
+    """Appends pieces one after the other; `clean` is the same without the noise of pauses, for the truth."""
+
+    def __init__(
+        self,
+        human: HumanModel,
+        noise: StandingNoise,
+        rng: np.random.Generator,
+        come_back: bool,
+        config: StreamConfig,
+    ) -> None:
+        self.human, self.noise, self.rng, self.come_back, self.config = human, noise, rng, come_back, config
+        self.now_s = 0.0
+        self.t_s: list[FloatArray] = []
+        self.q: list[FloatArray] = []
+        self.clean: list[FloatArray] = []
+        #: Motions, and when the pauses before each of them and after the last begin.
+        self.pieces: list[_Piece] = []
+        self.rest_from_s: list[float] = []
+
+    def build(self, motions: Sequence[Motion]) -> Stream:
+        stands = [self._stand(motion) for motion in motions]
+        self._pause(stands[0], self.config.lead_s + self._pause_s())
+        for k, motion in enumerate(motions):
+            following = stands[min(k + 1, len(motions) - 1)]
+            start_s = self.now_s + motion.period_s
+            self._append(start_s + motion.t_s - motion.t_s[0], motion.q, unwrap_angles(motion).q)
+            stop_s = self.now_s
+            velocity, peak_mps = self._last_velocity(motion), self._peak(motion)
+            if self.come_back:
+                self._stroke(motion.q[-1], velocity, following, peak_mps, motion.period_s)
+                self.pieces.append(_Piece(motion, False, start_s, stop_s))
+            else:
+                goal = motion.q[-1] + 0.5 * self.config.stop_s * velocity
+                self._stroke(motion.q[-1], velocity, goal, peak_mps, motion.period_s, self.config.stop_s)
+                self.pieces.append(_Piece(motion, False, start_s, stop_s))
+                self._pause(goal, self._pause_s())
+                start_s = self.now_s
+                self._stroke(goal, np.zeros_like(goal), following, peak_mps, motion.period_s)
+                self.pieces.append(_Piece(motion, True, start_s, self.now_s))
+            self._pause(following, self._pause_s() + (self.config.lead_s if k + 1 == len(motions) else 0.0))
+        t_s, q = np.concatenate(self.t_s), np.concatenate(self.q)
+        return Stream(t_s, q, self._placed(t_s, np.concatenate(self.clean)))
+
+    def _placed(self, t_s: FloatArray, clean: FloatArray) -> tuple[Placed, ...]:
+        """Return each motion with its true span, seen from the middle of the pause before to that of the one after."""
+        palm = self.human.forward(clean)[_PALM]
+        rests_until_s = [*(piece.start_s for piece in self.pieces), float(t_s[-1])]
+        middles = [0.5 * (begin + end) for begin, end in zip(self.rest_from_s, rests_until_s, strict=True)]
+        placed = []
+        for piece, left, right in zip(self.pieces, middles, middles[1:], strict=False):
+            inside = (t_s >= left) & (t_s <= right)
+            span = motion_span(t_s[inside], palm[inside])
+            motion = piece.motion
+            placed.append(
+                Placed(motion.name, motion.label, piece.made, piece.start_s, piece.stop_s, span.onset_s, span.end_s)
+            )
+        return tuple(placed)
+
+    def _append(self, t_s: FloatArray, q: FloatArray, clean: FloatArray) -> None:
+        if len(t_s):
+            self.t_s.append(t_s)
+            self.q.append(q)
+            self.clean.append(clean)
+            self.now_s = float(t_s[-1])
+
+    def _pause_s(self) -> float:
+        return float(self.rng.uniform(*self.config.pause_s))
+
+    def _pause(self, posture: FloatArray, duration_s: float) -> None:
+        self.rest_from_s.append(self.now_s)
+        t_s, deviation = self.noise.draw(duration_s, self.rng)
+        postures = _wrapped(posture + deviation, self.noise.dof_names)
+        self._append(self.now_s + t_s, postures, np.repeat(posture[None], len(t_s), axis=0))
+
+    def _stroke(
+        self,
+        start: FloatArray,
+        velocity: FloatArray,
+        goal: FloatArray,
+        peak_mps: float,
+        period_s: float,
+        duration_s: float | None = None,
+    ) -> None:
+        """Append the stroke from `start` with `velocity` to rest at `goal`, at a frame every `period_s`."""
+        change = _short_way(goal - start, self.noise.dof_names)
+        if duration_s is None:
+            palm = self.human.forward(np.stack([start, start + change]))[_PALM]
+            # A stroke of least jerk is 1.875 times as fast in the middle as on average.
+            speed = max(self.config.stroke_speed_share * peak_mps, 1e-6)
+            duration_s = float(np.clip(1.875 * np.linalg.norm(palm[1] - palm[0]) / speed, *self.config.stroke_s))
+        n = max(2, round(duration_s / period_s))
+        u: FloatArray = (np.arange(1, n + 1) / n)[:, None]
+        least_jerk = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+        fading = u - 6.0 * u**3 + 8.0 * u**4 - 3.0 * u**5  # slope 1 at the start, at rest at the end, adds nothing
+        q: FloatArray = start + least_jerk * change + fading * velocity * duration_s
+        t_s = np.asarray(self.now_s + period_s * np.arange(1, n + 1), dtype=np.float64)
+        self._append(t_s, _wrapped(q, self.noise.dof_names), q)
+
+    def _stand(self, motion: Motion) -> FloatArray:
+        """Return the posture (D,) from which a motion starts: the median of its rest, its first posture if none."""
+        q = unwrap_angles(motion).q
+        onset_s = motion_span(motion.t_s, self.human.forward(q)[_PALM]).onset_s
+        until_s = min(onset_s - self.noise.config.margin_s, motion.t_s[0] + self.noise.config.rest_s)
+        n = int(np.searchsorted(motion.t_s, until_s))
+        posture: FloatArray = np.median(q[:n], axis=0) if n >= 3 else q[0]
+        return posture
+
+    def _last_velocity(self, motion: Motion) -> FloatArray:
+        """Return the median of the slopes between the last frames, which a single bad frame does not change."""
+        q = unwrap_angles(motion).q
+        first = min(len(q) - 2, int(np.searchsorted(motion.t_s, motion.t_s[-1] - self.config.velocity_s)))
+        return median_slope(motion.t_s[first:], q[first:])
+
+    def _peak(self, motion: Motion) -> float:
+        return motion_span(motion.t_s, self.human.forward(motion.q)[_PALM]).peak_mps
+
+
+def _short_way(change: FloatArray, dof_names: Sequence[str]) -> FloatArray:
+    """Return differences with whole turns taken off the angles."""
+    angle = np.array([is_angle(name) for name in dof_names])
+    return np.where(angle, change - 2 * np.pi * np.round(change / (2 * np.pi)), change)
+
+
+def _wrapped(q: FloatArray, dof_names: Sequence[str]) -> FloatArray:
+    """Return postures with every angle within half a turn."""
+    return _short_way(q, dof_names)

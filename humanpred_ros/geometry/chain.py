@@ -1,0 +1,262 @@
+"""A serial arm as plain arrays, because the planning kernels cannot call a rigid-body library.
+
+Everything here is in radians and metres. A configuration `q` holds one angle per joint, in joint order;
+a link carries the index of the joint it moves with. Pinocchio is the reference (tests agree to 1e-9).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from humanpred_ros.errors import ArrayError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
+
+_ROTATION_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class KinematicChain:
+    """Revolute joints in series, from a root fixed in the world to a tool.
+
+    The frame after joint j is `frame before . translation(origin j) . rotation j . rot(axis j, q j)`.
+
+    Attributes:
+        joint_names: J names, from the root outwards.
+        joint_origin_m: (J, 3) translation from the previous joint's frame (the root for the first).
+        joint_rotation: (J, 3, 3) fixed rotation from the previous joint's frame at zero (identity on the PR2).
+        joint_axis: (J, 3) unit rotation axes in the joints' own frames.
+        T_world_root: (4, 4) frame in which the first origin is expressed.
+        T_last_tool: (4, 4) tool frame in the last joint's frame.
+        lower, upper: (J,) limits in rad, -inf and inf where the joint turns without end.
+        continuous: (J,) true where the joint turns without end.
+        velocity_limit: (J,) rad/s.
+
+    Raises:
+        ArrayError: for shapes that disagree, axes that are not unit, rotations that are not rotations.
+    """
+
+    joint_names: tuple[str, ...]
+    joint_origin_m: FloatArray
+    joint_rotation: FloatArray
+    joint_axis: FloatArray
+    T_world_root: FloatArray
+    T_last_tool: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    continuous: NDArray[np.bool_]
+    velocity_limit: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "joint_names", tuple(self.joint_names))
+        n = len(self.joint_names)
+        if n == 0:
+            raise ArrayError("chain: wanted at least one joint, got none; name the joints from root to tool")
+        shapes: dict[str, tuple[int, ...]] = {
+            "joint_origin_m": (n, 3),
+            "joint_rotation": (n, 3, 3),
+            "joint_axis": (n, 3),
+            "T_world_root": (4, 4),
+            "T_last_tool": (4, 4),
+            "lower": (n,),
+            "upper": (n,),
+            "velocity_limit": (n,),
+        }
+        for name, shape in shapes.items():
+            finite = name not in ("lower", "upper", "velocity_limit")
+            array = checked(f"chain {name}", getattr(self, name), shape, finite=finite)
+            object.__setattr__(self, name, frozen(array))
+        continuous = np.asarray(self.continuous, dtype=np.bool_)
+        if continuous.shape != (n,):
+            raise ArrayError(f"chain continuous: wanted shape ({n},), got {continuous.shape}")
+        object.__setattr__(self, "continuous", frozen(continuous))
+        self._check_values()
+
+    def _check_values(self) -> None:
+        length = np.linalg.norm(self.joint_axis, axis=1)
+        if np.abs(length - 1.0).max() > _ROTATION_TOLERANCE:
+            raise ArrayError(f"chain joint_axis: wanted unit vectors, got lengths {length}; normalise them")
+        for name, rotation in (
+            ("joint_rotation", self.joint_rotation),
+            ("T_world_root", self.T_world_root[:3, :3]),
+            ("T_last_tool", self.T_last_tool[:3, :3]),
+        ):
+            error = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max()
+            if error > _ROTATION_TOLERANCE or np.linalg.det(rotation).min() < 0:
+                raise ArrayError(f"chain {name}: wanted a rotation, got a matrix that is off by {error:.2g}")
+        if not (self.lower < self.upper).all():
+            raise ArrayError(f"chain limits: wanted lower < upper, got {self.lower} and {self.upper}")
+        if not (np.isinf(self.lower) & np.isinf(self.upper))[self.continuous].all():
+            raise ArrayError("chain limits: wanted -inf and inf for continuous joints, got finite values")
+        if not (self.velocity_limit > 0).all():
+            raise ArrayError(f"chain velocity_limit: wanted positive rad/s, got {self.velocity_limit}")
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints J."""
+        return len(self.joint_names)
+
+    @property
+    def axis_index(self) -> NDArray[np.int64]:
+        """(J,) 0, 1 or 2 for joints about +x, +y or +z.
+
+        Raises:
+            ArrayError: if a joint turns about another axis; kernels handle coordinate axes only.
+        """
+        index: NDArray[np.int64] = np.argmax(self.joint_axis, axis=1).astype(np.int64)
+        skew = np.abs(self.joint_axis - np.eye(3)[index]).max(axis=1) > _ROTATION_TOLERANCE
+        if skew.any():
+            which = int(np.argmax(skew))
+            raise ArrayError(
+                f"chain: wanted {self.joint_names[which]} to turn about +x, +y or +z, got axis "
+                f"{self.joint_axis[which]}; fold the difference into joint_rotation"
+            )
+        return index
+
+    def link_poses(self, q: ArrayLike) -> FloatArray:
+        """Return the world pose of the frame after each joint.
+
+        Args:
+            q: (..., J) configurations in rad.
+
+        Returns:
+            (..., J, 4, 4).
+
+        Raises:
+            ArrayError: if the last axis of `q` is not J long.
+        """
+        q = np.asarray(q, dtype=np.float64)
+        if q.ndim == 0 or q.shape[-1] != self.n_joints:
+            raise ArrayError(f"configuration: wanted {self.n_joints} angles on the last axis, got shape {q.shape}")
+        poses = np.zeros((*q.shape[:-1], self.n_joints, 4, 4))
+        poses[..., 3, 3] = 1.0
+        rotation = np.broadcast_to(self.T_world_root[:3, :3], (*q.shape[:-1], 3, 3))
+        position = np.broadcast_to(self.T_world_root[:3, 3], (*q.shape[:-1], 3))
+        for j in range(self.n_joints):
+            position = position + rotation @ self.joint_origin_m[j]
+            rotation = rotation @ self.joint_rotation[j] @ axis_rotation(self.joint_axis[j], q[..., j])
+            poses[..., j, :3, :3] = rotation
+            poses[..., j, :3, 3] = position
+        return poses
+
+    def tool_pose(self, q: ArrayLike) -> FloatArray:
+        """Return the (..., 4, 4) world pose of the tool at configurations `q` (..., J)."""
+        pose: FloatArray = self.link_poses(q)[..., -1, :, :] @ self.T_last_tool
+        return pose
+
+
+@dataclass(frozen=True, eq=False)
+class BodyPoints:
+    """Points on the surface of the moving bodies.
+
+    Attributes:
+        link: (P,) index of the joint the point moves with.
+        local_m: (P, 3) position in that joint's frame.
+    """
+
+    link: NDArray[np.int64]
+    local_m: FloatArray
+
+    def __post_init__(self) -> None:
+        link, local = _attached("body points", self.link, self.local_m)
+        object.__setattr__(self, "link", link)
+        object.__setattr__(self, "local_m", local)
+
+    def __len__(self) -> int:
+        return len(self.link)
+
+    def world_m(self, chain: KinematicChain, q: ArrayLike) -> FloatArray:
+        """Return the (..., P, 3) world positions at configurations `q` (..., J)."""
+        return _carried(chain, q, self.link, self.local_m)
+
+
+@dataclass(frozen=True, eq=False)
+class BodySpheres:
+    """Spheres that together cover the moving bodies, for collision.
+
+    Attributes:
+        link: (S,) index of the joint the sphere moves with.
+        centre_m: (S, 3) centre in that joint's frame.
+        radius_m: (S,).
+    """
+
+    link: NDArray[np.int64]
+    centre_m: FloatArray
+    radius_m: FloatArray
+
+    def __post_init__(self) -> None:
+        link, centre = _attached("body spheres", self.link, self.centre_m)
+        radius = checked("sphere radius", self.radius_m, (len(link),))
+        if (radius <= 0).any():
+            raise ArrayError(f"sphere radius: wanted positive metres, got {radius.min()}")
+        object.__setattr__(self, "link", link)
+        object.__setattr__(self, "centre_m", centre)
+        object.__setattr__(self, "radius_m", frozen(radius))
+
+    def __len__(self) -> int:
+        return len(self.link)
+
+    def world_m(self, chain: KinematicChain, q: ArrayLike) -> FloatArray:
+        """Return the (..., S, 3) world centres at configurations `q` (..., J)."""
+        return _carried(chain, q, self.link, self.centre_m)
+
+
+@dataclass(frozen=True, eq=False)
+class BodyBoxes:
+    """Boxes that together fill the moving bodies, inside included, for what must not enter them.
+
+    Attributes:
+        link: (B,) index of the joint the box moves with.
+        lower_m, upper_m: (B, 3) corners in that joint's frame, along whose axes the box lies.
+    """
+
+    link: NDArray[np.int64]
+    lower_m: FloatArray
+    upper_m: FloatArray
+
+    def __post_init__(self) -> None:
+        link, lower = _attached("body boxes", self.link, self.lower_m)
+        upper = checked("body boxes", self.upper_m, (len(link), 3))
+        if not (lower < upper).all():
+            raise ArrayError("body boxes: wanted lower < upper along every axis, got a box without volume")
+        object.__setattr__(self, "link", link)
+        object.__setattr__(self, "lower_m", lower)
+        object.__setattr__(self, "upper_m", frozen(upper))
+
+    def __len__(self) -> int:
+        return len(self.link)
+
+
+def reach_m(chain: KinematicChain, spheres: BodySpheres) -> tuple[FloatArray, float]:
+    """Return centre (3,) and radius of a ball that the spheres on a chain never leave, world frame, metres."""
+    lengths = np.linalg.norm(chain.joint_origin_m, axis=1)
+    to_joint = np.concatenate([[0.0], np.cumsum(lengths[1:])])
+    beyond = np.linalg.norm(spheres.centre_m, axis=1) + spheres.radius_m
+    root = chain.T_world_root
+    centre: FloatArray = root[:3, :3] @ chain.joint_origin_m[0] + root[:3, 3]
+    return centre, float((to_joint[spheres.link] + beyond).max())
+
+
+def axis_rotation(axis: FloatArray, angle: ArrayLike) -> FloatArray:
+    """Return the (..., 3, 3) rotations about the unit vector `axis` (3,) by `angle` (...) rad (Rodrigues)."""
+    angle = np.asarray(angle, dtype=np.float64)[..., None, None]
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    rotation: FloatArray = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
+    return rotation
+
+
+def _attached(name: str, link: ArrayLike, local: ArrayLike) -> tuple[NDArray[np.int64], FloatArray]:
+    link_array = np.asarray(link, dtype=np.int64)
+    if link_array.ndim != 1 or (link_array < 0).any():
+        raise ArrayError(f"{name}: wanted one joint index >= 0 per entry, got {link_array!r:.80}")
+    local_array = checked(name, local, (len(link_array), 3))
+    return frozen(link_array), frozen(local_array)  # type: ignore[return-value]
+
+
+def _carried(chain: KinematicChain, q: ArrayLike, link: NDArray[np.int64], local: FloatArray) -> FloatArray:
+    poses = chain.link_poses(q)[..., link, :, :]
+    world: FloatArray = np.einsum("...pij,pj->...pi", poses[..., :3, :3], local) + poses[..., :3, 3]
+    return world

@@ -1,0 +1,95 @@
+"""Voxel grids and the probability that a human occupies each voxel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humanpred_ros.errors import ArrayError
+from humanpred_ros.geometry.checks import FloatArray, checked
+
+
+@dataclass(frozen=True)
+class VoxelGrid:
+    """An axis-aligned lattice of cubic voxels in the world frame.
+
+    Attributes:
+        origin_m: lower corner of the first voxel, world frame.
+        resolution_m: edge length of a voxel.
+        shape: number of voxels along x, y, z; flat indices run z fastest (C order).
+    """
+
+    origin_m: tuple[float, float, float]
+    resolution_m: float
+    shape: tuple[int, int, int]
+
+    def __post_init__(self) -> None:
+        origin = checked("grid origin", self.origin_m, (3,))
+        object.__setattr__(self, "origin_m", tuple(float(x) for x in origin))
+        object.__setattr__(self, "shape", tuple(int(n) for n in self.shape))
+        if not self.resolution_m > 0 or not np.isfinite(self.resolution_m):
+            raise ArrayError(f"grid resolution: wanted a positive length in metres, got {self.resolution_m}")
+        if len(self.shape) != 3 or min(self.shape) < 1:
+            raise ArrayError(f"grid shape: wanted three positive voxel counts, got {self.shape}")
+
+    @property
+    def size(self) -> int:
+        """Number of voxels."""
+        return int(np.prod(self.shape))
+
+    def flat_index(self, points_m: FloatArray) -> NDArray[np.int64]:
+        """Return the flat voxel index of each point (..., 3), world frame; -1 outside the grid."""
+        cell = np.floor((np.asarray(points_m, dtype=np.float64) - self.origin_m) / self.resolution_m)
+        with np.errstate(invalid="ignore"):
+            inside = np.asarray(np.logical_and(cell >= 0, cell < self.shape).all(axis=-1))
+        ijk = np.where(inside[..., None], cell, 0.0).astype(np.int64)
+        flat = (ijk[..., 0] * self.shape[1] + ijk[..., 1]) * self.shape[2] + ijk[..., 2]
+        return np.where(inside, flat, -1)
+
+    def centres_m(self, flat: NDArray[np.int64]) -> FloatArray:
+        """Return the (..., 3) centres of voxels given by flat index, world frame."""
+        ijk = np.stack(np.unravel_index(flat, self.shape), axis=-1)
+        centres: FloatArray = np.asarray(self.origin_m) + (ijk + 0.5) * self.resolution_m
+        return centres
+
+    def mask_of(self, points_m: FloatArray) -> NDArray[np.bool_]:
+        """Return the boolean grid of voxels that hold at least one of the points."""
+        mask = np.zeros(self.size, dtype=np.bool_)
+        flat = self.flat_index(points_m).ravel()
+        mask[flat[flat >= 0]] = True
+        return mask.reshape(self.shape)
+
+
+@dataclass(frozen=True)
+class Occupancy:
+    """Probability that the human occupies each voxel.
+
+    Attributes:
+        grid: the lattice.
+        probability: float32 array of the grid's shape, each value in [0, 1].
+        t_s: stamp of the observed posture it follows from, in seconds.
+    """
+
+    grid: VoxelGrid
+    probability: NDArray[np.float32]
+    t_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        p = np.asarray(self.probability, dtype=np.float32)
+        if p.shape != self.grid.shape:
+            raise ArrayError(f"occupancy: wanted probabilities of shape {self.grid.shape}, got {p.shape}")
+        # NaN fails both comparisons, so it is refused here too.
+        if not (p.min() >= 0.0 and p.max() <= 1.0):
+            raise ArrayError(f"occupancy: wanted probabilities within [0, 1], got {p.min()} to {p.max()}")
+        object.__setattr__(self, "probability", p)
+
+    def voxels_above(self, threshold: float) -> NDArray[np.int64]:
+        """Return the flat indices of voxels whose probability exceeds `threshold`, ascending."""
+        return np.flatnonzero(self.probability.ravel() > threshold).astype(np.int64)
+
+    def sparse(self, threshold: float) -> Occupancy:
+        """Return the occupancy as it survives publication: voxels at or below `threshold` become 0."""
+        kept = np.where(self.probability > threshold, self.probability, np.float32(0.0))
+        return Occupancy(self.grid, kept, self.t_s)

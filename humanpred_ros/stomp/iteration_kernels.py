@@ -1,0 +1,318 @@
+"""The compiled steps of one STOMP iteration around the cost evaluation: rollouts, update, joint limits.
+
+Lanes (columns of a right-hand side, or waypoint and joint pairs) are contiguous in memory and innermost, so
+that every loop over lanes packs into vector instructions. The trajectory itself stays float64; rollouts are
+float32.
+
+R = L Lᵀ is banded: `factor[k, i] = L[i + k, i]` holds four bands below the diagonal and reaches past the end
+as zeros. What needs R⁻¹ is an O(n) sweep, never a dense inverse.
+
+All of them are in one file, because numba's cache does not notice a change in another one.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from humanpred_ros.geometry.compiled import fast
+
+#: Normal quantiles at the middle of 65536 equal probabilities: 16 random bits make one draw. The largest is
+#: 4.2 standard deviations, and their variance is 1 to within 1e-4.
+QUANTILES = ndtri((np.arange(65536) + 0.5) / 65536.0).astype(np.float32)
+
+#: Violations below this are rounding, rad.
+_LIMIT_TOLERANCE = 1e-6
+_LIMIT_ITERATIONS = 10
+
+
+@fast
+def colour(factor: NDArray[Any], x: NDArray[Any]) -> None:
+    """Solve Lᵀ x = z in place, z (n, L): white noise becomes N(0, R⁻¹)."""
+    n, lanes = x.shape
+    for i in range(n - 1, -1, -1):
+        for k in range(1, min(5, n - i)):
+            below = factor[k, i]
+            for lane in range(lanes):
+                x[i, lane] -= below * x[i + k, lane]
+        scale = 1.0 / factor[0, i]
+        for lane in range(lanes):
+            x[i, lane] *= scale
+
+
+@fast
+def solve(factor: NDArray[Any], x: NDArray[Any]) -> None:
+    """Solve R x = b in place, b (n, L)."""
+    n, lanes = x.shape
+    for i in range(n):
+        for k in range(1, min(5, i + 1)):
+            left = factor[k, i - k]
+            for lane in range(lanes):
+                x[i, lane] -= left * x[i - k, lane]
+        scale = 1.0 / factor[0, i]
+        for lane in range(lanes):
+            x[i, lane] *= scale
+    colour(factor, x)
+
+
+@fast
+def solve_unit(factor: NDArray[Any], j: int, x: NDArray[Any]) -> None:
+    """Write column j of R⁻¹ into x (n,)."""
+    n = len(x)
+    x[:] = 0.0
+    x[j] = 1.0
+    for i in range(j, n):
+        value = x[i]
+        for k in range(1, min(5, i - j + 1)):
+            value -= factor[k, i - k] * x[i - k]
+        x[i] = value / factor[0, i]
+    for i in range(n - 1, -1, -1):
+        value = x[i]
+        for k in range(1, min(5, n - i)):
+            value -= factor[k, i] * x[i + k]
+        x[i] = value / factor[0, i]
+
+
+def random_bits(rng: np.random.Generator, draws: int) -> NDArray[np.uint16]:
+    """Return 16 random bits for each of `draws` normal draws, as `white_noise` wants them."""
+    words = rng.integers(0, 2**64 - 1, size=(draws + 3) // 4, dtype=np.uint64, endpoint=True)
+    return words.view(np.uint16)
+
+
+def white_noise(bits: NDArray[np.uint16], rows: int, lanes: int) -> NDArray[np.float32]:
+    """Turn the first rows x lanes of `bits` into standard normal draws (rows, lanes).
+
+    About ten times faster than a generator's own normal draws. The noise is smoothed over a hundred
+    waypoints before anything sees it, so 65536 levels are plenty.
+    """
+    out = np.empty((rows, lanes), dtype=np.float32)
+    _look_up(bits, QUANTILES, out.reshape(-1))
+    return out
+
+
+@fast
+def _look_up(bits: NDArray[Any], table: NDArray[Any], out: NDArray[Any]) -> None:
+    for i in range(len(out)):
+        out[i] = table[bits[i]]
+
+
+def sample(
+    theta: NDArray[np.float64],
+    bits: NDArray[np.uint16],
+    std: NDArray[np.float32],
+    lower: NDArray[np.float64],
+    upper: NDArray[np.float64],
+    factor: NDArray[np.float64],
+    factor32: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
+    """Write K noisy copies of theta (N, D) within the limits, then theta itself; out (K+1, N, D), from `bits`."""
+    sample_compiled(theta, bits, QUANTILES, std, lower, upper, factor, factor32, out)
+
+
+@fast
+def sample_compiled(
+    theta: NDArray[Any],
+    bits: NDArray[Any],
+    table: NDArray[Any],
+    std: NDArray[Any],
+    lower: NDArray[Any],
+    upper: NDArray[Any],
+    factor: NDArray[Any],
+    factor32: NDArray[Any],
+    out: NDArray[Any],
+) -> None:
+    """Do what `sample` does, with the table of normal quantiles (65536,) handed in."""
+    n, n_joints = theta.shape
+    noise = np.empty((n - 2, (len(out) - 1) * n_joints), dtype=np.float32)
+    _look_up(bits, table, noise.reshape(-1))
+    colour(factor32, noise)
+    make_rollouts(theta, noise, std, lower, upper, factor, out)
+
+
+@fast
+def keep_within_limits(x: NDArray[Any], lower: NDArray[Any], upper: NDArray[Any], factor: NDArray[Any]) -> int:
+    """Push the free waypoints of x (N, D) inside the limits, in place; return how many joints were clipped.
+
+    The worst waypoint of a joint is moved onto its limit together with its neighbours, along the column of
+    R⁻¹ that belongs to it, which keeps the trajectory smooth (facts section 4). What is still outside after
+    ten such pushes is clipped.
+    """
+    n, n_joints = x.shape
+    column = np.empty(n - 2, dtype=np.float64)
+    clipped = 0
+    for d in range(n_joints):
+        outside = False
+        for t in range(1, n - 1):
+            outside |= x[t, d] > upper[d] or x[t, d] < lower[d]
+        if not outside:
+            continue
+        for attempt in range(_LIMIT_ITERATIONS + 1):
+            worst, where = 0.0, -1
+            for t in range(1, n - 1):
+                over = max(x[t, d] - upper[d], lower[d] - x[t, d])
+                if over > worst:
+                    worst, where = over, t
+            if worst <= _LIMIT_TOLERANCE:
+                break
+            if attempt == _LIMIT_ITERATIONS:
+                clipped += 1
+                break
+            solve_unit(factor, where - 1, column)
+            push = (worst if x[where, d] < lower[d] else -worst) / column[where - 1]
+            for t in range(1, n - 1):
+                x[t, d] += push * column[t - 1]
+        for t in range(1, n - 1):
+            x[t, d] = min(max(x[t, d], lower[d]), upper[d])
+    return clipped
+
+
+@fast
+def make_rollouts(
+    theta: NDArray[Any],
+    noise: NDArray[Any],
+    std: NDArray[Any],
+    lower: NDArray[Any],
+    upper: NDArray[Any],
+    factor: NDArray[Any],
+    out: NDArray[Any],
+) -> None:
+    """Write theta (N, D) plus noise (N-2, K·D) x std (D,) as K rollouts, then theta itself; out (K+1, N, D)."""
+    n, n_joints = theta.shape
+    count = len(out) - 1
+    for r in range(count):
+        for t in range(n):
+            for d in range(n_joints):
+                out[r, t, d] = theta[t, d]
+        for t in range(1, n - 1):
+            for d in range(n_joints):
+                out[r, t, d] += std[d] * noise[t - 1, r * n_joints + d]
+        keep_within_limits(out[r], lower, upper, factor)
+    for t in range(n):
+        for d in range(n_joints):
+            out[count, t, d] = theta[t, d]
+
+
+@fast
+def improve(
+    theta: NDArray[Any],
+    rollouts: NDArray[Any],
+    state: NDArray[Any],
+    joint: NDArray[Any],
+    sharpness: float,
+    factor: NDArray[Any],
+    column_scale: NDArray[Any],
+    lower: NDArray[Any],
+    upper: NDArray[Any],
+) -> None:
+    """Move theta (N, D) towards the cheaper of the rollouts (R, N, D), in place.
+
+    With S = state (R, N) + joint (R, N, D) costs, each rollout has at each waypoint and joint the probability
+    exp(-h (S - min) / (max - min)), normalised over rollouts; the mean noise goes through M into theta.
+    """
+    n_rollouts, n, n_joints = rollouts.shape
+    lanes = n * n_joints
+    cost = np.empty((n_rollouts, lanes), dtype=np.float32)
+    low = np.full(lanes, np.inf, dtype=np.float32)
+    high = np.full(lanes, -np.inf, dtype=np.float32)
+    for r in range(n_rollouts):
+        for t in range(n):
+            for d in range(n_joints):
+                cost[r, t * n_joints + d] = state[r, t] + joint[r, t, d]
+        row = cost[r]
+        for k in range(lanes):
+            low[k] = min(low[k], row[k])
+            high[k] = max(high[k], row[k])
+    total = np.zeros(lanes, dtype=np.float32)
+    moved = np.zeros(lanes, dtype=np.float32)
+    flat_theta = theta.astype(np.float32).reshape(-1)
+    h = np.float32(sharpness)
+    for k in range(lanes):
+        # Equal costs say nothing: the probabilities are then all the same.
+        high[k] = -h / max(high[k] - low[k], np.float32(1e-12))
+    for r in range(n_rollouts):
+        row, flat = cost[r], rollouts[r].reshape(-1)
+        for k in range(lanes):
+            p = _exp((row[k] - low[k]) * high[k])
+            total[k] += p
+            moved[k] += p * (flat[k] - flat_theta[k])
+    change = np.empty((n - 2, n_joints), dtype=np.float64)
+    for t in range(n - 2):
+        for d in range(n_joints):
+            k = (t + 1) * n_joints + d
+            change[t, d] = column_scale[t] * moved[k] / total[k]
+    solve(factor, change)
+    for t in range(n - 2):
+        for d in range(n_joints):
+            theta[t + 1, d] += change[t, d]
+    keep_within_limits(theta, lower, upper, factor)
+
+
+@fast
+def _exp(x: Any) -> Any:
+    """e^x in float32 for -100 <= x <= 0: a polynomial of x/256, squared eight times; relative error 3e-5."""
+    y = x * np.float32(1.0 / 256.0)
+    p = np.float32(1.0) + y * (
+        np.float32(1.0) + y * (np.float32(0.5) + y * (np.float32(1.0 / 6.0) + y * np.float32(1.0 / 24.0)))
+    )
+    for _ in range(8):
+        p = p * p
+    return p
+
+
+@fast
+def keep_best(
+    rollouts: NDArray[Any], state: NDArray[Any], joint: NDArray[Any], n_best: int, copies: NDArray[Any]
+) -> None:
+    """Move the `n_best` cheapest of the rollouts to the front, with their costs.
+
+    `copies` is an index array (n_best,) to work in. Ties keep the earlier rollout, so results never depend
+    on the order in which a machine sums.
+    """
+    n_rollouts, n, n_joints = rollouts.shape
+    total = np.zeros(n_rollouts, dtype=np.float64)
+    for r in range(n_rollouts):
+        per_joint = joint[r].reshape(-1)
+        value = 0.0
+        for k in range(n * n_joints):
+            value += per_joint[k]
+        for t in range(n):
+            value += state[r, t]
+        total[r] = value
+    for b in range(n_best):
+        best = -1
+        for r in range(n_rollouts):
+            if best < 0 or total[r] < total[best]:
+                best = r
+        copies[b] = best
+        total[best] = np.inf
+    # In ascending order no copy overwrites a rollout that is still needed.
+    copies.sort()
+    for b in range(n_best):
+        r = copies[b]
+        if r != b:
+            rollouts[b] = rollouts[r]
+            state[b] = state[r]
+            joint[b] = joint[r]
+
+
+@fast
+def update(
+    theta: NDArray[Any],
+    rollouts: NDArray[Any],
+    state: NDArray[Any],
+    joint: NDArray[Any],
+    sharpness: float,
+    factor: NDArray[Any],
+    column_scale: NDArray[Any],
+    lower: NDArray[Any],
+    upper: NDArray[Any],
+    n_best: int,
+) -> None:
+    """`improve` theta with all rollouts, then bring those that will be reused to the front."""
+    improve(theta, rollouts, state, joint, sharpness, factor, column_scale, lower, upper)
+    if n_best > 0:
+        keep_best(rollouts, state, joint, n_best, np.empty(n_best, dtype=np.int64))

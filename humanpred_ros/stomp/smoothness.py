@@ -1,0 +1,100 @@
+"""Where STOMP's notion of a smooth change lives: the finite differences A, R = AᵀA and what follows from R.
+
+Notation (P1 and its references): A q are accelerations, R = AᵀA, noise ~ N(0, R⁻¹), M = R⁻¹ with every
+column scaled to a largest element of 1/n. R is banded, so N(0, R⁻¹) and M are applied by O(n) sweeps over
+its Cholesky factor; a dense R⁻¹ exists only in tests.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky_banded
+
+from humanpred_ros.errors import PlanningError
+from humanpred_ros.geometry.checks import FloatArray, frozen
+from humanpred_ros.stomp import iteration_kernels
+
+Float32Array = NDArray[np.float32]
+
+#: 5-point rule of the second derivative, in units of one waypoint step (facts section 4).
+ACCELERATION_RULE = (-1.0 / 12.0, 16.0 / 12.0, -30.0 / 12.0, 16.0 / 12.0, -1.0 / 12.0)
+#: Rows of A that lie outside the trajectory and still see a free waypoint, at each end.
+PADDING = 1
+BANDWIDTH = 4
+
+
+@dataclass(frozen=True)
+class Smoothness:
+    """R = AᵀA over the free waypoints of a trajectory whose two ends are fixed.
+
+    The trajectory is continued by copies of its start and goal, so that A sees a robot at rest at both
+    ends and the ends themselves never move.
+
+    Attributes:
+        n_waypoints: N, with start and goal.
+        factor: (5, N-2) lower Cholesky factor of R in bands: `factor[k, i] = L[i + k, i]`.
+        column_scale: (N-2,) what scales column i of R⁻¹ to a largest element of 1/(N-2).
+    """
+
+    n_waypoints: int
+    factor: FloatArray
+    column_scale: FloatArray
+
+    @property
+    def n_free(self) -> int:
+        """Number of waypoints that may move."""
+        return self.n_waypoints - 2
+
+    def coloured(self, white: Float32Array) -> Float32Array:
+        """Turn white noise (n_free, L) into L draws of N(0, R⁻¹), in place: x = L⁻ᵀ z."""
+        iteration_kernels.colour(self._factor32, white)
+        return white
+
+    def smoothed(self, change: FloatArray) -> FloatArray:
+        """Return M u of a change (n_free, L), rad (P1's references: the update of STOMP)."""
+        out = np.ascontiguousarray(change * self.column_scale[:, None])
+        iteration_kernels.solve(self.factor, out)
+        return out
+
+    @property
+    def _factor32(self) -> Float32Array:
+        return self.factor.astype(np.float32)
+
+
+def accelerations_matrix(n_waypoints: int) -> FloatArray:
+    """Return the dense A, (N + 2, N): accelerations of a trajectory continued by copies of its ends.
+
+    Row r is the acceleration at waypoint r - 1: one row before the start and one after the goal still
+    see a free waypoint.
+    """
+    A = np.zeros((n_waypoints + 2 * PADDING, n_waypoints))
+    for row in range(len(A)):
+        for offset, factor in zip(range(-2, 3), ACCELERATION_RULE, strict=True):
+            A[row, min(max(row - PADDING + offset, 0), n_waypoints - 1)] += factor
+    return A
+
+
+@lru_cache(maxsize=16)
+def smoothness(n_waypoints: int) -> Smoothness:
+    """Return the smoothness of trajectories with `n_waypoints` waypoints (kept for the next caller).
+
+    Raises:
+        PlanningError: for fewer than 5 waypoints, which the 5-point rule cannot see.
+    """
+    if n_waypoints < 5:
+        raise PlanningError(f"smoothness: wanted at least 5 waypoints, got {n_waypoints}")
+    A = accelerations_matrix(n_waypoints)[:, 1:-1]
+    R = A.T @ A
+    n = n_waypoints - 2
+    bands = np.zeros((BANDWIDTH + 1, n))
+    for k in range(min(BANDWIDTH, n - 1) + 1):
+        bands[k, : n - k] = np.diagonal(R, -k)
+    factor = np.ascontiguousarray(cholesky_banded(bands, lower=True))
+    inverse = np.eye(n)
+    iteration_kernels.solve(factor, inverse)
+    scale = 1.0 / (n * np.abs(inverse).max(axis=0))
+    return Smoothness(n_waypoints, frozen(factor), frozen(scale))  # type: ignore[arg-type]

@@ -1,0 +1,361 @@
+"""The evaluation scores what is really swept, shows the predictors nothing of it, and does not depend on processes."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from mocap_library import mocap_library
+from rich.console import Console
+from small_library import small_library
+
+from humanpred_ros.errors import ArrayError, HumanPredError, LibraryFormatError, UsageError
+from humanpred_ros.evaluation.evaluation_grid import grid_around, swept_region
+from humanpred_ros.evaluation.occupancy import evaluation as occupancy_evaluation
+from humanpred_ros.evaluation.occupancy import runs as occupancy_runs
+from humanpred_ros.evaluation.occupancy.evaluation import OccupancyEvaluationConfig, evaluate_occupancy
+from humanpred_ros.evaluation.occupancy.result import OccupancyEvaluation
+from humanpred_ros.evaluation.occupancy.runs import LeftOutMotions, MotionOutcome, OccupancySetup, until_end
+from humanpred_ros.evaluation.occupancy.tables import print_occupancy_evaluation
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import Occupancy
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.motion import MotionLibrary
+from humanpred_ros.motion.placement import placed, start_pelvis_m, turn_and_shift
+from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
+from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
+from humanpred_ros.predictors.folds import FoldSettings, LeaveOneOut
+from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
+from humanpred_ros.recognition.gmm_config import GmmConfig
+
+HUMAN = HumanModel.kinect12()
+GMM = GmmConfig(n_components=3, max_iterations=10)
+NONE = np.eye(4)
+
+
+@cache
+def library() -> MotionLibrary:
+    return small_library(3, 4, 30, there_and_back=True)
+
+
+def setup(**changes: Any) -> OccupancySetup:
+    grid = grid_around(library(), HUMAN)
+    region = swept_region(library(), BodyVoxeliser(HUMAN, grid, NONE), 2).ravel()
+    return replace(
+        OccupancySetup(
+            HUMAN, grid, NONE, region, (10, 40, 90), "end", NONE, "gmm", GMM, frozenset(), ("10/1", 40)
+        ),
+        **changes,
+    )  # fmt: skip
+
+
+class Told(OccupancyPredictor):
+    """Predicts what a function of the posture's number says, and notes what it was shown."""
+
+    def __init__(self, settings: FoldSettings, predict: Any) -> None:
+        self.grid, self._predict, self.shown = settings.grid, predict, []
+
+    def start(self) -> None:
+        self.shown = []
+
+    def update(self, q: FloatArray, t_s: float) -> Prediction:
+        self.shown.append((q, t_s))
+        return Prediction(Occupancy(self.grid, self._predict(len(self.shown) - 1), t_s), None)
+
+
+class ToldFolds(LeaveOneOut):
+    def __init__(self, settings: FoldSettings, predict: Any) -> None:
+        super().__init__(settings, "told")
+        self.predictor = Told(settings, predict)
+
+    def without(self, name: str) -> Told:
+        return self.predictor
+
+
+def run_told(monkeypatch: pytest.MonkeyPatch, predict: Any, name: str, s: OccupancySetup) -> tuple[MotionOutcome, Told]:
+    runs = LeftOutMotions(["told"], library(), s)
+    monkeypatch.setattr(occupancy_runs, "leave_one_out", lambda _, settings: ToldFolds(settings, predict))
+    (outcome,) = runs(name)
+    return outcome, runs._folds[0].predictor
+
+
+def test_who_knows_the_rest_of_the_motion_is_right(monkeypatch: pytest.MonkeyPatch) -> None:
+    s = setup()
+    motion = library().find("10/1")
+    voxeliser = BodyVoxeliser(HUMAN, s.grid, NONE)
+    outcome, told = run_told(monkeypatch, lambda k: voxeliser.mask(motion.q[k:]).astype(np.float32), "10/1", s)
+    assert [score.brier for score in outcome.scores] == [0.0, 0.0, 0.0]
+    assert [score.missed for score in outcome.scores] == [0.0, 0.0, 0.0]
+    # It was shown 90 % of the motion as a sensor would show it, and nothing more.
+    assert len(told.shown) == 27
+    for k, (q, t_s) in enumerate(told.shown):
+        np.testing.assert_array_equal(q, motion.q[k])
+        assert t_s == motion.t_s[k]
+    assert outcome.picture is not None
+    assert outcome.picture.percent == 40
+    np.testing.assert_array_equal(outcome.picture.swept, outcome.picture.predicted)
+
+
+def test_who_predicts_nothing_is_wrong_by_as_many_voxels_as_are_swept(monkeypatch: pytest.MonkeyPatch) -> None:
+    s = setup()
+    outcome, _ = run_told(monkeypatch, lambda k: np.zeros(s.grid.shape, dtype=np.float32), "0/2", s)
+    swept = [score.n_swept for score in outcome.scores]
+    assert swept[0] >= swept[1] > swept[2] > 0
+    assert [score.squared_error for score in outcome.scores] == swept
+    assert [score.missed for score in outcome.scores] == [1.0, 1.0, 1.0]
+    assert outcome.picture is None
+
+
+def test_a_refused_posture_leaves_the_prediction_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    s = setup()
+    voxeliser = BodyVoxeliser(HUMAN, s.grid, NONE)
+    motion = library().find("10/1")
+
+    def predict(k: int) -> np.ndarray:
+        if k % 2 or k < 4:
+            raise ArrayError("a glitch")
+        return voxeliser.mask(motion.q[k]).astype(np.float32)
+
+    outcome, _ = run_told(monkeypatch, predict, "10/1", s)
+    assert outcome.refused == 4 + 11
+    assert outcome.scores[0].missed == 1.0  # none was accepted yet at 10 %
+    assert outcome.scores[1].missed < 1.0
+    assert outcome.scores[1].n_predicted == voxeliser.mask(motion.q[10]).sum()
+
+
+def test_the_apex_is_where_the_palm_turns_back() -> None:
+    motion = library().find("10/1")
+    q, t_s = until_end(motion, HUMAN, "apex")
+    assert len(q) == len(t_s)
+    assert 0.4 < len(q) / len(motion) < 0.6
+    np.testing.assert_array_equal(q, motion.q[: len(q)])
+    assert len(until_end(motion, HUMAN, "end")[0]) == len(motion)
+
+
+def test_somebody_elsewhere_is_shown_elsewhere_and_sweeps_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    T = turn_and_shift(np.deg2rad(20.0), (0.3, 0.0, 0.0), start_pelvis_m(library()))
+    motion = placed(library().find("10/1"), T)
+    s = setup(T_shift=T)
+    voxeliser = BodyVoxeliser(HUMAN, s.grid, NONE)
+    outcome, told = run_told(monkeypatch, lambda k: voxeliser.mask(motion.q[k:]).astype(np.float32), "10/1", s)
+    assert [score.brier for score in outcome.scores] == [0.0, 0.0, 0.0]
+    np.testing.assert_array_equal(told.shown[3][0], motion.q[3])
+
+
+@pytest.fixture
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Starting processes takes seconds; one test has them, the others do without."""
+
+    def sequential(function: Any, tasks: Any, jobs: int, progress: Any) -> list[Any]:
+        return [function(task) for task in tasks]
+
+    monkeypatch.setattr(occupancy_evaluation, "map_processes", sequential)
+
+
+def evaluated(jobs: int = 1, **changes: Any) -> OccupancyEvaluation:
+    config = OccupancyEvaluationConfig(
+        **{"predictors": ("current", "constant_velocity", "swept_volume"), "gmm": GMM, "every": 3} | changes
+    )
+    return evaluate_occupancy(library(), config, jobs=jobs)
+
+
+def test_figures_are_the_same_for_any_number_of_processes() -> None:
+    a, b = evaluated(jobs=1).to_json(), evaluated(jobs=2).to_json()
+    for evaluation in (a, b):
+        evaluation["settings"].pop("jobs")
+        for predictor in evaluation["predictors"]:
+            timing = predictor.pop("timing")
+            assert 0 < timing["median_ms"] <= timing["p99_ms"]
+    assert a == b
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_every_figure_is_there_and_hangs_together() -> None:
+    evaluation = evaluated()
+    assert evaluation.tested == ("0/0", "0/3", "10/2", "20/1")
+    current, moving, p1 = evaluation.predictors
+    for result in (current, moving, p1):
+        for name in ("brier", "squared_error", "log_loss", "average_precision", "missed", "n_swept", "n_predicted"):
+            values = getattr(result.at_percent, name)
+            assert values.shape == (9,)
+            assert float(getattr(result.average, name)) == pytest.approx(values.mean())
+        np.testing.assert_allclose(result.at_percent.brier * evaluation.region_voxels, result.at_percent.squared_error)
+        assert float(result.average.brier) == pytest.approx(np.mean([m["brier"] for m in result.motions.values()]))
+        assert set(result.motions) == set(evaluation.tested)
+        assert result.without_mistracked is None
+        assert result.picture is not None
+        # All voxels of the region, each motion and percent; more where something else is predicted.
+        assert result.calibration.count.sum() >= evaluation.region_voxels * 4 * 9
+    np.testing.assert_array_equal(current.at_percent.n_swept, p1.at_percent.n_swept)
+    # The body is part of what it sweeps, so who predicts only that is never wrong, and misses all the rest.
+    assert current.calibration.error_predicted == 0.0
+    np.testing.assert_allclose(
+        current.at_percent.squared_error, current.at_percent.n_swept - current.at_percent.n_predicted
+    )
+    assert (moving.at_percent.missed <= current.at_percent.missed + 1e-12).all()
+    assert float(p1.average.missed) < float(current.average.missed)
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_somebody_elsewhere_breaks_p1_and_not_the_baselines() -> None:
+    here, there = evaluated(), evaluated(shift_m=(0.3, 0.0), turn_rad=np.deg2rad(20.0))
+    for k in (0, 1):
+        assert float(there.predictors[k].average.brier * there.region_voxels) == pytest.approx(
+            float(here.predictors[k].average.brier * here.region_voxels), rel=0.1
+        )
+    assert float(there.predictors[2].average.missed) > 2 * float(here.predictors[2].average.missed)
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_who_never_saw_the_class_stands_beside_who_learned_it() -> None:
+    evaluation = evaluated(predictors=("current", "swept_volume", "reaching"), every=5)
+    assert [result.learned_from_class for result in evaluation.predictors] == ["–", "yes", "no"]
+    _, p1, unseen = evaluation.predictors
+    ratio = float(unseen.average.brier) / float(p1.average.brier)
+    assert evaluation.unseen_beside_seen == evaluation.to_json()["unseen_beside_seen"] == ratio
+    assert ratio < 1.0, "P2's target: no worse than P1, which was trained with the class"
+    text = io.StringIO()
+    print_occupancy_evaluation(evaluation, Console(file=text, width=200))
+    assert f"its Brier score is {ratio:.2f} times as large (target: no worse, 1.00)" in text.getvalue()
+    assert "learned from no motion of the tested motion's class; it is told the places" in text.getvalue()
+    assert evaluated(predictors=("current",), every=12).unseen_beside_seen is None
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_who_is_told_places_is_also_judged_without_having_been_told() -> None:
+    evaluation = evaluated(predictors=("current", "reaching"), every=5, percents=(50, 80))
+    now, told = evaluation.predictors
+    assert now.untold is None
+    assert now.untold_at_percent is None
+    assert told.untold is not None
+    assert told.untold_at_percent is not None
+    np.testing.assert_array_equal(told.untold_at_percent.n_swept, told.at_percent.n_swept)
+    assert float(told.untold.brier) == pytest.approx(told.untold_at_percent.brier.mean())
+    # Its place is worth knowing; a reach that goes elsewhere is still better than none.
+    assert float(told.average.brier) < float(told.untold.brier) < float(now.average.brier)
+    assert evaluation.to_json()["predictors"][1]["untold"]["brier"] == float(told.untold.brier)
+    text = io.StringIO()
+    print_occupancy_evaluation(evaluation, Console(file=text, width=200))
+    assert f"{1e3 * float(told.untold.brier):.2f}" in text.getvalue()
+    # Two rows of averages, two along the motion.
+    assert text.getvalue().count("place not told ") == 4
+    text = io.StringIO()
+    print_occupancy_evaluation(evaluated(predictors=("current",), every=12), Console(file=text, width=200))
+    assert "not told" not in text.getvalue()
+
+
+def test_the_place_that_is_not_told_is_the_tested_motions_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[tuple[int, ...]] = []
+    played = occupancy_runs._played
+
+    def noted(predictor: ReachingPredictor, *rest: Any) -> MotionOutcome:
+        shown.append(predictor.goals.labels)
+        return played(predictor, *rest)
+
+    monkeypatch.setattr(occupancy_runs, "_played", noted)
+    runs = LeftOutMotions(["reaching"], library(), setup(percents=(10, 40)))
+    (first,), (second,) = runs("10/1"), runs("20/1")
+    assert shown == [(0, 10, 20), (0, 20), (0, 10, 20), (0, 10)]
+    for outcome in (first, second):
+        assert outcome.untold is not None
+        assert [score.n_swept for score in outcome.untold] == [score.n_swept for score in outcome.scores]
+        assert [score.brier for score in outcome.untold] != [score.brier for score in outcome.scores]
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_the_human_is_the_one_whose_dofs_the_library_has() -> None:
+    config = OccupancyEvaluationConfig(predictors=("current", "reaching"), every=4, percents=(30, 60))
+    evaluation = evaluate_occupancy(mocap_library(3, 3, 25), config)
+    now, unseen = evaluation.predictors
+    assert unseen.refused_postures == 0
+    assert float(unseen.average.missed) < 0.5 * float(now.average.missed)
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_two_motions_to_each_of_two_places_are_enough_to_learn_how_people_reach() -> None:
+    config = OccupancyEvaluationConfig(predictors=("current", "reaching"), percents=(30, 60))
+    now, told = evaluate_occupancy(small_library(2, 2, 30, there_and_back=True), config).predictors
+    assert len(told.motions) == 4
+    assert told.untold is not None
+    assert float(told.average.brier) < float(now.average.brier)
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_a_motion_that_is_there_twice_is_refused_by_who_learns() -> None:
+    first, second, *others = small_library(2, 3, 20).motions
+    twice = MotionLibrary("twice", (first, second.with_postures(first.q), *others))
+    with pytest.raises(LibraryFormatError, match="every motion once"):
+        evaluate_occupancy(twice, OccupancyEvaluationConfig(predictors=("reaching",)))
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_until_the_apex_there_is_less_to_sweep() -> None:
+    whole, reach = evaluated(predictors=("current",)), evaluated(predictors=("current",), until="apex")
+    assert float(reach.predictors[0].average.n_swept) < float(whole.predictors[0].average.n_swept)
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_a_scene_gives_grid_and_placement() -> None:
+    evaluation = evaluated(predictors=("current",), scene="four_places", every=12)
+    assert evaluation.settings["grid"].origin_m == (-2.0, -3.0, -0.4)
+    assert evaluation.settings["T_world_human"][0, 3] == 0.10
+    assert float(evaluation.predictors[0].average.n_swept) > 1000
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_mistracked_motions_are_tested_and_told_apart() -> None:
+    wild = library().find("10/2")
+    motions = tuple(
+        m.with_postures(m.q + 40.0 * (np.arange(30) > 15)[:, None] * (np.arange(12) == 0)) if m is wild else m
+        for m in library()
+    )
+    spoilt = MotionLibrary("spoilt", motions)
+    config = OccupancyEvaluationConfig(predictors=("current", "swept_volume"), gmm=GMM, every=3)
+    with_all = evaluate_occupancy(spoilt, config)
+    cleaned = evaluate_occupancy(spoilt, replace(config, clean_training=True))
+    for evaluation in (with_all, cleaned):
+        assert "10/2" in evaluation.tested
+        assert evaluation.mistracked == ("10/2",)
+        assert evaluation.predictors[0].without_mistracked is not None
+        assert evaluation.settings["picture"] != "10/2"
+    assert float(cleaned.predictors[1].average.brier) < float(with_all.predictors[1].average.brier)
+    assert float(cleaned.predictors[0].average.brier) == float(with_all.predictors[0].average.brier)
+
+
+@pytest.mark.usefixtures("in_this_process")
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"predictors": ("crystal_ball",)}, "crystal_ball"),
+        ({"predictors": ()}, "none"),
+        ({"until": "never"}, "end or apex"),
+        ({"percents": (0,)}, "from 1 to 100"),
+        ({"every": 0}, "every"),
+        ({"shift_m": (np.nan, 0.0)}, "finite"),
+        ({"shift_m": (30.0, 0.0)}, "outside"),
+        ({"picture": "0/1"}, "tested motions"),
+        ({"classifier": "svm"}, "svm"),
+        ({"scene": "moon"}, "moon"),
+    ],
+)
+def test_impossible_wishes_are_named(changes: dict[str, Any], text: str) -> None:
+    with pytest.raises(UsageError if "scene" not in changes else HumanPredError, match=text):
+        evaluate_occupancy(
+            library(), OccupancyEvaluationConfig(**{"every": 3, "gmm": GMM} | changes)
+        )  # fmt: skip
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_a_class_too_small_is_named_before_any_work() -> None:
+    small = small_library(2, 2, 20)
+    with pytest.raises(LibraryFormatError, match=r"for swept_volume at least 3 .* --predictor current,reaching$"):
+        evaluate_occupancy(small, OccupancyEvaluationConfig(("current", "swept_volume", "reaching"), gmm=GMM))
+    with pytest.raises(LibraryFormatError, match=r"for reaching at least 2 motions in every class"):
+        evaluate_occupancy(small_library(3, 1, 20), OccupancyEvaluationConfig(("reaching",)))
+    # The baselines learn nothing and do not mind.
+    alone = evaluate_occupancy(small_library(1, 1, 20), OccupancyEvaluationConfig(predictors=("current",)))
+    assert alone.tested == ("0/0",)
