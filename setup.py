@@ -54,6 +54,10 @@ setup(
         "lz4>=4.3",
         "zstandard>=0.22",
         "PyYAML>=6.0",
+        "joblib>=1.3",
+        "pydantic>=2.7",
+        "tyro>=0.9",
+        "yourdfpy>=0.0.56",
         "matplotlib>=3.8",
         "Jinja2>=3.1",
         "rich>=13.0",
@@ -61,7 +65,13 @@ setup(
     extras_require={
         # On a machine with a ROS 2 Jazzy installation these come from there: leave the extra out.
         "ros": ["ros-jazzy-rclpy>=7.1", "ros-jazzy-common-interfaces>=5.3", "ros-jazzy-rmw-fastrtps-cpp>=8.4"],
+        # Reading C3D marker recordings.
+        "markers": ["ezc3d>=1.5"],
+        # Evaluations on more than one machine: `--scheduler ADDRESS`.
+        "cluster": ["distributed>=2024.1"],
         "test": [
+            "ezc3d>=1.5",
+            "distributed>=2024.1",
             "pytest>=8.0",
             "hypothesis>=6.90",
             "ruff>=0.6",

@@ -49,3 +49,7 @@ class PlanningError(HumanPredError):
 
 class StaleHumanError(HumanPredError):
     """Human data too old, missing or invalid to plan on."""
+
+
+class SettingsError(HumanPredError):
+    """A setting is unknown, of the wrong type, out of its range, or does not go with another."""

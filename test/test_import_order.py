@@ -17,7 +17,7 @@ INNER_ORDER = {
     "planning": ("timing", "validity"),
     "reaching": ("costs", "learning", "prediction", "futures", "goals"),
 }
-SHARED = {"errors", "resources", "__version__"}
+SHARED = {"errors", "resources", "settings", "__version__"}
 ROS_MODULES = {
     "rclpy", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "rcl_interfaces", "rosgraph_msgs",
     "sensor_msgs", "std_msgs", "trajectory_msgs", "visualization_msgs",
