@@ -1,3 +1,3 @@
-"""Early human-motion prediction and PR2 replanning at a shared table."""
+"""Early prediction of human reaches and replanning of a robot arm at a shared table."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
