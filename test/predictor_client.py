@@ -16,7 +16,7 @@ from sensor_msgs.msg import PointCloud2
 from humanpred_ros.bags.messages import point_cloud2_fields
 from humanpred_ros.evaluation.processes import NodeProcess, ParameterValue
 from humanpred_ros.nodes import conversions, qos, topics
-from humanpred_ros.reaching.goals.places import GoalPlaces
+from humanpred_ros.reaching.places import GoalPlaces
 from humanpred_ros.robot.scene import load_scene
 
 SCENE = load_scene("four_places")

@@ -15,7 +15,6 @@ ORDER = (
 #: The same inside packages that have folders; what lies in the package itself comes last.
 INNER_ORDER = {
     "planning": ("timing", "validity"),
-    "reaching": ("costs", "learning", "prediction", "futures", "goals"),
 }
 SHARED = {"errors", "resources", "settings", "__version__"}
 ROS_MODULES = {

@@ -13,7 +13,7 @@ from humanpred_ros.occupancy.forecast import ForecastPredictor
 from humanpred_ros.occupancy.p1 import SweptVolumePredictor
 from humanpred_ros.occupancy.predictor import OccupancyPredictor
 from humanpred_ros.predictors.reach_sources import ReachKnowledge
-from humanpred_ros.reaching.goals.places import GoalPlaces
+from humanpred_ros.reaching.places import GoalPlaces
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.forest_classifier import ForestClassifier
 from humanpred_ros.recognition.registry import trained_classifier

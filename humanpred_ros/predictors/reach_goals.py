@@ -9,7 +9,7 @@ import numpy as np
 
 from humanpred_ros.errors import HumanPredError, UsageError
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.reaching.goals.places import GoalPlaces
+from humanpred_ros.reaching.places import GoalPlaces
 from humanpred_ros.robot.scene import Scene
 
 

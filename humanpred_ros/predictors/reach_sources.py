@@ -16,14 +16,14 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.reach_recordings import ACTIVE, find_jumps
 from humanpred_ros.occupancy.voxeliser import checked_placement
-from humanpred_ros.reaching.costs.named_weights import NAMED_WEIGHTS
-from humanpred_ros.reaching.costs.reach_scene import ReachScene
-from humanpred_ros.reaching.futures.model import ReachModel
-from humanpred_ros.reaching.goals.inference import GoalClassifier, learn_goal_model
-from humanpred_ros.reaching.goals.model import GoalModel
-from humanpred_ros.reaching.goals.places import GoalPlaces, mistracked
-from humanpred_ros.reaching.learning.weights_file import load_weights
+from humanpred_ros.reaching.named_weights import NAMED_WEIGHTS
+from humanpred_ros.reaching.place_classifier import GoalClassifier, learn_goal_model
+from humanpred_ros.reaching.place_model import GoalModel
+from humanpred_ros.reaching.places import GoalPlaces, mistracked
+from humanpred_ros.reaching.reach_model import ReachModel
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
+from humanpred_ros.reaching.surroundings import ReachScene
+from humanpred_ros.reaching.weights_file import load_weights
 from humanpred_ros.recognition.training import TrainedModel
 
 

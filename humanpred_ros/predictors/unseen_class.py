@@ -6,7 +6,7 @@ from functools import cached_property
 
 from humanpred_ros.predictors.folds import FoldSettings, LeaveOneOut
 from humanpred_ros.predictors.reach_sources import ReachKnowledge
-from humanpred_ros.reaching.goals.places import GoalPlaces, ReachEnd, reach_ends, reaching_for
+from humanpred_ros.reaching.places import GoalPlaces, ReachEnd, reach_ends, reaching_for
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
 
 

@@ -20,13 +20,13 @@ from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
 from humanpred_ros.occupancy.sampled_futures import SampledFutures, SweepConfig
-from humanpred_ros.reaching.costs.named_weights import named_weights
-from humanpred_ros.reaching.costs.reach_scene import ReachScene
-from humanpred_ros.reaching.futures.model import ReachModel
-from humanpred_ros.reaching.futures.progress import ReachProgress
-from humanpred_ros.reaching.futures.samples import ReachFutures, ReachFuturesConfig
-from humanpred_ros.reaching.goals.inference import GoalClassifier
-from humanpred_ros.reaching.goals.places import GoalPlaces
+from humanpred_ros.reaching.futures import ReachFutures, ReachFuturesConfig
+from humanpred_ros.reaching.named_weights import named_weights
+from humanpred_ros.reaching.place_classifier import GoalClassifier
+from humanpred_ros.reaching.places import GoalPlaces
+from humanpred_ros.reaching.progress import ReachProgress
+from humanpred_ros.reaching.reach_model import ReachModel
+from humanpred_ros.reaching.surroundings import ReachScene
 from humanpred_ros.recognition.classifier import ClassPosterior
 from humanpred_ros.recognition.stream import StreamClassifier
 

@@ -16,7 +16,7 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.reaching.goals.places import GoalPlaces
+from humanpred_ros.reaching.places import GoalPlaces
 from humanpred_ros.viewing.run import read_run
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")

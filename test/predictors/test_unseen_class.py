@@ -13,7 +13,7 @@ from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.motion.placement import turn_and_shift
 from humanpred_ros.predictors.folds import FoldSettings
 from humanpred_ros.predictors.unseen_class import UnseenClass
-from humanpred_ros.reaching.goals.places import GoalPlaces
+from humanpred_ros.reaching.places import GoalPlaces
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
 
 HUMAN = HumanModel.kinect12()

@@ -17,12 +17,12 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
-from humanpred_ros.reaching.futures.end_postures import HAND
-from humanpred_ros.reaching.futures.model import ReachModel
-from humanpred_ros.reaching.futures.progress import ReachProgress
-from humanpred_ros.reaching.futures.samples import ReachFuturesConfig
-from humanpred_ros.reaching.goals.inference import GoalClassifier
-from humanpred_ros.reaching.goals.places import GoalPlaces, mistracked
+from humanpred_ros.reaching.end_postures import HAND
+from humanpred_ros.reaching.futures import ReachFuturesConfig
+from humanpred_ros.reaching.place_classifier import GoalClassifier
+from humanpred_ros.reaching.places import GoalPlaces, mistracked
+from humanpred_ros.reaching.progress import ReachProgress
+from humanpred_ros.reaching.reach_model import ReachModel
 from humanpred_ros.reaching.reaching_predictor import ReachingConfig, ReachingPredictor
 
 HUMAN = HumanModel.kinect12()

@@ -16,7 +16,7 @@ from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.placement import placed, turn_and_shift
 from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR, OccupancyPredictor
 from humanpred_ros.predictors.factory import make_predictor
-from humanpred_ros.reaching.futures.samples import ReachFuturesConfig
+from humanpred_ros.reaching.futures import ReachFuturesConfig
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.training import TrainedModel, train_model
 

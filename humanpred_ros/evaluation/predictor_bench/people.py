@@ -13,7 +13,7 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.human.named import human_named, name_of_human
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.predictors.reach_sources import ReachKnowledge
-from humanpred_ros.reaching.goals.places import GoalPlaces, reach_ends
+from humanpred_ros.reaching.places import GoalPlaces, reach_ends
 from humanpred_ros.recognition.training import TrainedModel, train_model
 
 #: Where a library shows fewer places than are told, it is told the same ones again, so much higher.

@@ -9,8 +9,8 @@ from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.reaching.learned import WeightTable
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
-from humanpred_ros.reaching.costs.reach_scene import ReachScene
-from humanpred_ros.reaching.prediction.task import ReachPredictor
+from humanpred_ros.reaching.reach_task import ReachPredictor
+from humanpred_ros.reaching.surroundings import ReachScene
 
 #: Gives the predictor for a recording, by name; it knows all recordings to learn from but that one.
 Without = Callable[[str], ReachPredictor]

@@ -43,7 +43,7 @@ from humanpred_ros.evaluation.reaching.timing import prediction_times
 from humanpred_ros.evaluation.reaching.weights import weight_figures
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
-from humanpred_ros.reaching.costs.reach_scene import ReachScene
+from humanpred_ros.reaching.surroundings import ReachScene
 
 
 @dataclass(frozen=True)

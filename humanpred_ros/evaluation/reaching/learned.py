@@ -12,10 +12,10 @@ from types import MappingProxyType
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
-from humanpred_ros.reaching.costs.features import DISTANCE_NAMES
-from humanpred_ros.reaching.costs.reach_scene import ReachScene
-from humanpred_ros.reaching.learning.learner import LearningConfig, ReachLearner, ReachWeights
-from humanpred_ros.reaching.learning.piirl import PiirlConfig
+from humanpred_ros.reaching.features import DISTANCE_NAMES
+from humanpred_ros.reaching.learner import LearningConfig, ReachLearner, ReachWeights
+from humanpred_ros.reaching.piirl import PiirlConfig
+from humanpred_ros.reaching.surroundings import ReachScene
 
 _log = logging.getLogger(__name__)
 

@@ -7,10 +7,10 @@ from functools import partial
 
 from humanpred_ros.evaluation.reaching.entry import BETTER, REPRODUCED, ReachingEntry, ReachingMaterial, Without
 from humanpred_ros.evaluation.reaching.learned import ALONE, IMPROVED, PUBLISHED
-from humanpred_ros.reaching.costs.named_weights import named_weights
-from humanpred_ros.reaching.prediction.planned_predictors import improved_predictor, planned_predictor
-from humanpred_ros.reaching.prediction.posture_bounds import BoundsConfig
-from humanpred_ros.reaching.prediction.task import ReachPredictor
+from humanpred_ros.reaching.named_weights import named_weights
+from humanpred_ros.reaching.planned_predictors import improved_predictor, planned_predictor
+from humanpred_ros.reaching.posture_bounds import BoundsConfig
+from humanpred_ros.reaching.reach_task import ReachPredictor
 
 #: The predictor that is used where nobody asks for another.
 DEFAULT_PREDICTOR = "improved"

@@ -9,8 +9,8 @@ from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.reaching.entry import SIMPLE, ReachingEntry, ReachingMaterial, Without
 from humanpred_ros.evaluation.reaching.planned import planned_entries
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.reaching.prediction.bow import learn_bow
-from humanpred_ros.reaching.prediction.trivial import TimedLine, constant_speed, cubic, hold, mean_profile, minimum_jerk
+from humanpred_ros.reaching.bow import learn_bow
+from humanpred_ros.reaching.trivial import TimedLine, constant_speed, cubic, hold, mean_profile, minimum_jerk
 
 
 def _profile(profile: Callable[[FloatArray], FloatArray]) -> Callable[[ReachingMaterial], Without]:

@@ -24,13 +24,13 @@ from humanpred_ros.evaluation.reaching.result import Statistic
 from humanpred_ros.geometry.checks import FloatArray, frozen
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
-from humanpred_ros.reaching.costs.features import N_SMOOTHNESS, ReachFeatures
-from humanpred_ros.reaching.costs.named_weights import named_weights
-from humanpred_ros.reaching.learning.piirl import Contrast, PiirlConfig, contrasts, learn_weights
-from humanpred_ros.reaching.learning.splitting import Demonstration, demonstration
-from humanpred_ros.reaching.prediction.first_guess import straight_line
-from humanpred_ros.reaching.prediction.planner import ReachPlanner, ReachPlannerConfig
-from humanpred_ros.reaching.prediction.posture_bounds import PostureBounds
+from humanpred_ros.reaching.demonstrations import Demonstration, demonstration
+from humanpred_ros.reaching.features import N_SMOOTHNESS, ReachFeatures
+from humanpred_ros.reaching.first_guess import straight_line
+from humanpred_ros.reaching.named_weights import named_weights
+from humanpred_ros.reaching.piirl import Contrast, PiirlConfig, contrasts, learn_weights
+from humanpred_ros.reaching.planner import ReachPlanner, ReachPlannerConfig
+from humanpred_ros.reaching.posture_bounds import PostureBounds
 
 #: P2's hand-tuned weights of the 16 distances (facts section 4).
 _KNOWN_DISTANCES = (

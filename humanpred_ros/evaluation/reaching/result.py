@@ -10,7 +10,7 @@ import numpy as np
 
 from humanpred_ros.evaluation.reaching.reference import PublishedRow
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.reaching.prediction.distances import ReachDistance
+from humanpred_ros.reaching.distances import ReachDistance
 
 #: Fields of `ReachDistance`, in the order of columns.
 DISTANCES = ("joint_m", "task_as_coded_m", "task_m")

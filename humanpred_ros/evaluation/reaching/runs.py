@@ -13,8 +13,8 @@ from humanpred_ros.evaluation.reaching.entry import ReachingEntry, ReachingMater
 from humanpred_ros.evaluation.reaching.predictors import reaching_entry
 from humanpred_ros.evaluation.reaching.result import DistanceFigures, RecordingFigures
 from humanpred_ros.motion.reach_recordings import ReachRecording
-from humanpred_ros.reaching.prediction.distances import ReachMetric
-from humanpred_ros.reaching.prediction.task import ReachTask
+from humanpred_ros.reaching.distances import ReachMetric
+from humanpred_ros.reaching.reach_task import ReachTask
 
 WRIST = "right_wrist"
 Task = TypeVar("Task")

@@ -14,8 +14,8 @@ from humanpred_ros.evaluation.reaching.result import DistanceFigures, PredictorF
 from humanpred_ros.evaluation.reaching.runs import WRIST, RecordingOutcome
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
-from humanpred_ros.reaching.prediction.distances import ReachMetric
-from humanpred_ros.reaching.prediction.posture_bounds import PostureBounds
+from humanpred_ros.reaching.distances import ReachMetric
+from humanpred_ros.reaching.posture_bounds import PostureBounds
 
 #: The row that compares each recording with itself: what a perfect prediction scores.
 ITSELF = "itself"

@@ -11,7 +11,7 @@ import numpy as np
 from humanpred_ros.evaluation.reaching.entry import ReachingMaterial
 from humanpred_ros.evaluation.reaching.predictors import reaching_entry
 from humanpred_ros.motion.reach_recordings import ReachRecording
-from humanpred_ros.reaching.prediction.task import ReachTask
+from humanpred_ros.reaching.reach_task import ReachTask
 
 #: The duration that the project's target is about, s.
 TARGET_DURATION_S = 1.3

@@ -10,7 +10,7 @@ from humanpred_ros.evaluation.reaching.recovery import RecoveryFigures
 from humanpred_ros.evaluation.reaching.result import Statistic
 from humanpred_ros.evaluation.reaching.weights import WeightColumn, WeightFigures
 from humanpred_ros.evaluation.text import figure_table, headline, line
-from humanpred_ros.reaching.costs.features import N_SMOOTHNESS
+from humanpred_ros.reaching.features import N_SMOOTHNESS
 
 
 def print_weights(figures: WeightFigures, console: Console) -> None:

@@ -18,10 +18,10 @@ from humanpred_ros.evaluation.reaching.learned import ALONE, IMPROVED, LEARNING,
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
-from humanpred_ros.reaching.costs.features import FEATURE_NAMES, ReachFeatures
-from humanpred_ros.reaching.costs.named_weights import NAMED_WEIGHTS
-from humanpred_ros.reaching.learning.piirl import contrasts
-from humanpred_ros.reaching.learning.splitting import demonstrations
+from humanpred_ros.reaching.demonstrations import demonstrations
+from humanpred_ros.reaching.features import FEATURE_NAMES, ReachFeatures
+from humanpred_ros.reaching.named_weights import NAMED_WEIGHTS
+from humanpred_ros.reaching.piirl import contrasts
 
 #: Samples of each demonstration that say how much a feature varies.
 _N_SAMPLES = 200

@@ -8,8 +8,8 @@ from typing import TypeAlias
 
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.recognition.needs import LEARNS_CLASSES, LEARNS_FROM_OTHERS, Needs
-from humanpred_ros.reaching.goals.inference import GoalClassifier
-from humanpred_ros.reaching.goals.model import GoalConfig
+from humanpred_ros.reaching.place_classifier import GoalClassifier
+from humanpred_ros.reaching.place_model import GoalConfig
 from humanpred_ros.recognition.classifier import IntentClassifier
 from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.gmm_config import GmmConfig

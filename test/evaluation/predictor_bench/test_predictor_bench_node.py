@@ -32,7 +32,7 @@ from humanpred_ros.evaluation.predictor_bench.node import (
 )
 from humanpred_ros.evaluation.predictor_bench.one_core import cores_of, hold_to_one_core
 from humanpred_ros.evaluation.predictor_bench.people import People
-from humanpred_ros.reaching.futures.samples import ReachFuturesConfig
+from humanpred_ros.reaching.futures import ReachFuturesConfig
 
 HOLDS = pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs a system that holds processes to cores")
 MS = 1_000_000

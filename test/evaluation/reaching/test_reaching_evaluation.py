@@ -22,9 +22,9 @@ from humanpred_ros.evaluation.reaching.result import Statistic
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import Jump, ReachRecording, load_reach_recordings
-from humanpred_ros.reaching.prediction.distances import ReachMetric
-from humanpred_ros.reaching.prediction.task import ReachTask
-from humanpred_ros.reaching.prediction.trivial import TimedLine, minimum_jerk
+from humanpred_ros.reaching.distances import ReachMetric
+from humanpred_ros.reaching.reach_task import ReachTask
+from humanpred_ros.reaching.trivial import TimedLine, minimum_jerk
 
 T, U = TypeVar("T"), TypeVar("U")
 RECORDINGS = [recording(seed, n_frames=40) for seed in range(3)]

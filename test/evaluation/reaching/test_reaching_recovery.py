@@ -17,7 +17,7 @@ from humanpred_ros.evaluation.reaching.recovery import (
     RecoveryRun,
     known_weights,
 )
-from humanpred_ros.reaching.learning.piirl import PiirlSolution
+from humanpred_ros.reaching.piirl import PiirlSolution
 
 RECORDINGS = [recording(seed, n_frames=40) for seed in range(2)]
 CONFIG = RecoveryConfig(samples=(2, 6, 20), repetitions=2)

@@ -12,8 +12,8 @@ from reaching_people import MODEL, recording
 from humanpred_ros.evaluation.reaching import learned as learned_module
 from humanpred_ros.evaluation.reaching.learned import ALONE, IMPROVED, LEARNING, PUBLISHED, LearnedWeights, learn_all
 from humanpred_ros.evaluation.reaching.weights import WeightFigures, feature_deviation, influence, weight_figures
-from humanpred_ros.reaching.costs.named_weights import NAMED_WEIGHTS
-from humanpred_ros.reaching.learning.learner import ReachLearner
+from humanpred_ros.reaching.learner import ReachLearner
+from humanpred_ros.reaching.named_weights import NAMED_WEIGHTS
 
 RECORDINGS = [recording(seed, n_frames=40) for seed in range(3)]
 NAMES = [entry.name for entry in RECORDINGS]

@@ -16,8 +16,8 @@ from humanpred_ros.evaluation.recognition.classifiers import EVALUATED, REACHING
 from humanpred_ros.evaluation.recognition.command import add_arguments, run
 from humanpred_ros.evaluation.recognition.runs import ClassifierChoice, LeftOutClass, LeftOutMotion, LeftOutRuns
 from humanpred_ros.motion.csv_library import write_csv_library
-from humanpred_ros.reaching.goals.inference import GoalClassifier
-from humanpred_ros.reaching.goals.model import GoalConfig
+from humanpred_ros.reaching.place_classifier import GoalClassifier
+from humanpred_ros.reaching.place_model import GoalConfig
 from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.registry import CLASSIFIERS

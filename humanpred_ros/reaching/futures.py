@@ -1,0 +1,232 @@
+"""How may a reach under way go on, if it goes to a given place? Samples of the rest of it, and of the way back.
+
+The end posture, given the place and what was seen so far, is Gaussian (`EndPostures`, `ReachShape.given`). The most
+probable way there is planned by STOMP, as P2 plans for the human, with the learned cost of reaching and what stands in
+the way; samples differ from it by their end posture and by what people vary in between, and all of them begin in the
+present posture. The same draws serve every update and every place, so predictions do not flicker.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from humanpred_ros.errors import PlanningError
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.occupancy.forecast_config import MOST_FUTURES
+from humanpred_ros.reaching.end_postures import EndPosture, standing
+from humanpred_ros.reaching.planner import ReachPlanner, ReachPlannerConfig, unit_deviation
+from humanpred_ros.reaching.posture_bounds import PostureBounds
+from humanpred_ros.reaching.progress import ReachProgress
+from humanpred_ros.reaching.reach_model import ReachModel
+from humanpred_ros.reaching.shape import ReachShape
+from humanpred_ros.reaching.surroundings import ReachScene
+from humanpred_ros.stomp.planner import StompConfig
+
+#: STOMP needs some noise for every DoF.
+_LEAST_NOISE, _MOST_NOISE = 1e-6, 0.003
+_LEAST_DURATION_S = 0.1
+_MOST_ENDS = 256
+
+
+@dataclass(frozen=True)
+class ReachFuturesConfig:
+    """How the rest of a reach is sampled.
+
+    Attributes:
+        n_samples: futures for each place, 2 to 32; even, as every draw has its mirror image.
+        step_m: a future has one posture for so much of the straight way of the hand.
+        planned: whether STOMP plans the most probable way; without, it is the straight line and its bow.
+        stomp: how it plans: a short way, from a good guess, needs few waypoints and updates. The noise is not taken
+            from here, but from what people vary.
+        obstacle_weight: of what stands in the way, as in `ImprovedConfig`.
+        seed: of the draws.
+    """
+
+    n_samples: int = 16
+    step_m: float = 0.06
+    planned: bool = True
+    stomp: StompConfig = field(
+        default_factory=lambda: StompConfig(n_waypoints=30, n_iterations=15, n_rollouts=10, n_reused=5)
+    )
+    obstacle_weight: float = 40.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 2 <= self.n_samples <= MOST_FUTURES or self.n_samples % 2 or not 0.0 < self.step_m < np.inf:
+            raise PlanningError(
+                f"reach futures: wanted an even number of samples from 2 to {MOST_FUTURES} and a positive step, got "
+                f"{self.n_samples} and {self.step_m} m"
+            )
+
+
+class ReachFutures:
+    """Samples how a reach goes on; holds no state between calls.
+
+    Args:
+        model: what was learned about reaches.
+        weights: (24,) of the features of P2's cost.
+        scene: what stands in the way, in the tracker's frame; nothing if None.
+        config: settings.
+
+    Raises:
+        PlanningError: weights that cannot be.
+    """
+
+    def __init__(
+        self,
+        model: ReachModel,
+        weights: ArrayLike,
+        scene: ReachScene | None = None,
+        config: ReachFuturesConfig | None = None,
+    ) -> None:
+        self.model = model
+        self.config = c = config or ReachFuturesConfig()
+        human = model.human
+        deviation = np.sqrt(np.diag(model.shape.variation)) / unit_deviation(c.stomp.n_waypoints)
+        noise = tuple(np.clip(deviation, _LEAST_NOISE, _MOST_NOISE).tolist())
+        planning = ReachPlannerConfig(replace(c.stomp, noise_std=noise), obstacle_weight=c.obstacle_weight)
+        bounds = PostureBounds(human.lower, human.upper, np.zeros(len(human.dof_names), dtype=np.bool_))
+        self._planner = ReachPlanner(human, weights, bounds, scene or ReachScene.empty(), planning)
+        self._nobody = self._planner.nobody()
+        half = np.random.default_rng(c.seed).standard_normal((c.n_samples // 2, 3, len(human.dof_names)))
+        #: (S, 3, D) draws of end posture, way and posture after the return.
+        self._draws = np.concatenate([half, -half])
+        # Start and place stay the same while a reach lasts.
+        self._end = lru_cache(maxsize=_MOST_ENDS)(self._end_from)
+        self._shape = lru_cache(maxsize=_MOST_ENDS)(self._shape_from)
+        # Those that return are spread over the draws.
+        order = np.random.default_rng(c.seed).permutation(c.n_samples)
+        returning = round(model.returning * c.n_samples)
+        self._returns, self._stays = order[:returning], order[returning:]
+
+    def towards(self, progress: ReachProgress, place_m: FloatArray) -> FloatArray:
+        """Return futures (S, N, D) of a reach under way, if it goes to the place (3,): all equally probable.
+
+        A hand that has turned back comes from there, wherever that was; the place then counts no more.
+        """
+        start, now = progress.start_posture, progress.posture
+        way_m = float(np.linalg.norm(place_m - progress.start_hand_m))
+        if progress.turned:
+            return self._back(progress, np.repeat(progress.apex[None], self.config.n_samples, axis=0))
+        done = progress.way_to(place_m)
+        end = self._given(progress, place_m, done, way_m)
+        ends = end.mean + self._draws[:, 0] @ _root(end.covariance).T
+        n = self._n_postures(float(np.linalg.norm(place_m - progress.hand_m)))
+        share = np.linspace(done, 1.0, n)
+        out = self._from_now(now, start, ends, share, way_m)
+        if self.config.planned and done < 1.0:
+            out += self._planned(start, now, end, share, way_m)
+        return self._with_return(progress, out, ends, way_m)
+
+    def towards_each(self, progress: ReachProgress, places_m: FloatArray) -> FloatArray:
+        """Return futures (K, N, D) of a reach under way, not yet turned back, one to each of up to S places (K, 3).
+
+        Of places that stand for a region. STOMP does not plan them: none of the ways is likely to be the one.
+        """
+        start, now = progress.start_posture, progress.posture
+        way_m = np.linalg.norm(places_m - progress.start_hand_m, axis=1)
+        done = np.array([progress.way_to(place) for place in places_m])
+        ends = np.empty((len(places_m), len(now)))
+        for k, place in enumerate(places_m):
+            end = self._given(progress, place, float(done[k]), float(way_m[k]))
+            ends[k] = end.mean + _root(end.covariance) @ self._draws[k, 0]
+        left_m = np.linalg.norm(places_m - progress.hand_m, axis=1)
+        share = done[:, None] + (1.0 - done[:, None]) * np.linspace(0.0, 1.0, self._n_postures(float(left_m.max())))
+        return self._with_return(progress, self._from_now(now, start, ends, share, way_m), ends, way_m)
+
+    def _given(self, progress: ReachProgress, place_m: FloatArray, done: float, way_m: float) -> EndPosture:
+        """Return the end posture at a place, given what was seen of the reach."""
+        start = progress.start_posture
+        end = self._end(start.tobytes(), place_m.tobytes())
+        return self._shape(start.tobytes())[0].given(end, start, progress.posture, done, way_m)
+
+    def _from_now(
+        self, now: FloatArray, start: FloatArray, ends: FloatArray, share: FloatArray, way_m: float | FloatArray
+    ) -> FloatArray:
+        """Return ways (S, N, D) to end postures, as `_between_ends`, all from the present posture on."""
+        out = self._between_ends(start, start, ends, share, way_m)
+        left = np.linspace(1.0, 0.0, out.shape[1])[:, None]
+        out += left * (now - out[:, :1])
+        return out
+
+    def _with_return(
+        self, progress: ReachProgress, out: FloatArray, ends: FloatArray, way_m: float | FloatArray
+    ) -> FloatArray:
+        """Return the futures and then, if people come back, the ways back of as many as do."""
+        if not len(self._returns):
+            return out
+        back = self._back(progress, ends, way_m)
+        # Those that stay repeat where they are.
+        stays = self._stays[self._stays < len(ends)]
+        back[stays] = ends[stays, None]
+        return np.concatenate([out, back], axis=1)
+
+    def _end_from(self, start: bytes, place_m: bytes) -> EndPosture:
+        return self.model.ends.at(np.frombuffer(start), np.frombuffer(place_m))
+
+    def _shape_from(self, start: bytes) -> tuple[ReachShape, FloatArray, FloatArray]:
+        """Return the shape of reaches from a posture, and roots of the variances on the way and at rest."""
+        R = standing(self.model.human, np.frombuffer(start))[:3, :3]
+        shape = self.model.shape.turned(R)
+        turn = np.eye(len(shape.variation))
+        turn[:3, :3] = R
+        return shape, turn @ _root(self.model.shape.variation), turn * self.model.rest_deviation
+
+    def _back(self, progress: ReachProgress, ends: FloatArray, way_m: float | FloatArray | None = None) -> FloatArray:
+        """Return the ways back (S, N, D) from end postures (S, D), from the present one if the hand has turned."""
+        start = progress.start_posture
+        under_way = way_m is None
+        if way_m is None:
+            way_m = progress.reached_m
+        share = np.linspace(1.0 - progress.way_back if under_way else 1.0, 0.0, self._n_postures(float(np.max(way_m))))
+        rests = start + self._draws[: len(ends), 2] @ self._shape(start.tobytes())[2].T
+        back = self._between_ends(start, rests, ends, share, way_m)
+        if under_way:
+            left = np.linspace(1.0, 0.0, len(share))[:, None]
+            back += left * (progress.posture - back[:, :1])
+        return back
+
+    def _between_ends(
+        self, start: FloatArray, near: FloatArray, far: FloatArray, share: FloatArray, way_m: float | FloatArray
+    ) -> FloatArray:
+        """Return postures (S, N, D) at shares of ways from near (S, D) or (D,) to far (S, D).
+
+        Shares (N,) and the hand's way are the same for all, or (S, N) and (S,).
+        """
+        shape, root, _ = self._shape(start.tobytes())
+        first = np.broadcast_to(near, far.shape)[:, None]
+        line = first + share[..., None] * (far[:, None] - first)
+        varied = self._draws[: len(far), 1] @ root.T
+        bow = np.reshape(way_m, (-1, 1, 1)) * shape.bow_at(share, 1.0)
+        postures: FloatArray = line + bow + np.sqrt(4.0 * share * (1.0 - share))[..., None] * varied[:, None]
+        return postures
+
+    def _planned(
+        self, start: FloatArray, now: FloatArray, end: EndPosture, share: FloatArray, way_m: float
+    ) -> FloatArray:
+        """Return by how much the planned way (N, D) differs from the one it began with, at shares (N,)."""
+        n = self.config.stomp.n_waypoints
+        evenly = np.linspace(share[0], 1.0, n)
+        guess = self._shape(start.tobytes())[0].bow_at(evenly, way_m)
+        first = guess[0].copy()
+        left = (1.0 - evenly) / (1.0 - evenly[0])
+        guess = guess + left[:, None] * (now - first) + (1.0 - left)[:, None] * end.mean
+        duration_s = max((1.0 - share[0]) * way_m * self.model.pace_s_m, _LEAST_DURATION_S)
+        rng = np.random.default_rng(self.config.seed)
+        reach = self._planner.plan(now, end.mean, duration_s, self._nobody, rng, initial=guess)
+        difference = reach.q - guess
+        return np.stack([np.interp(share, evenly, column) for column in difference.T], axis=1)
+
+    def _n_postures(self, way_m: float) -> int:
+        return 2 + int(np.ceil(way_m / self.config.step_m))
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """Return A (D, D) with A A' = covariance; it may be singular."""
+    variance, axes = np.linalg.eigh(covariance)
+    root: FloatArray = axes * np.sqrt(np.maximum(variance, 0.0))
+    return root

@@ -1,0 +1,237 @@
+"""Where a hand may be going: the places that goal inference weighs against each other, each known by a label.
+
+A place is a point in the tracker's frame. It may come from a robot's scene, or from a library: where the motions of a
+class have their farthest palm. People hit a place within a few centimetres, and trackers lose arms, so a class's place
+is a median, and motions that are plainly mistracked or mislabelled have no say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from humanpred_ros.errors import ArrayError, LibraryFormatError, UsageError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.cleaning import DROP_REASONS, flag_library
+from humanpred_ros.motion.motion import MotionLibrary
+from humanpred_ros.reaching.excess_cost import farthest_palm
+from humanpred_ros.recognition.reach_features import point_links
+
+#: How much farther than the arm is long somebody gets by leaning, turning and stepping, metres. In both of P1's
+#: libraries no place is more than 0.63 m farther from the shoulder at the start than the arm is long.
+LEAN_M = 0.7
+_RIGID_TOLERANCE = 1e-6
+#: No room is larger; and labels travel as float32, which holds whole numbers exactly up to this.
+_FARTHEST_M, _LARGEST_LABEL = 1000.0, 2**24
+
+
+@dataclass(frozen=True)
+class OutOfReach:
+    """A place nobody gets to from where this person stands.
+
+    Attributes:
+        label: of the place.
+        distance_m: from the right shoulder.
+        limit_m: how far this person gets.
+    """
+
+    label: int
+    distance_m: float
+    limit_m: float
+
+    def __str__(self) -> str:
+        return (
+            f"goal {self.label} is {self.distance_m:.2f} m from the right shoulder, out of reach: this person gets "
+            f"{self.limit_m:.2f} m far; check the place and the frame it is in"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class GoalPlaces:
+    """Places of the hand that somebody may reach for: immutable.
+
+    Attributes:
+        labels: G different labels, as those of a library's classes.
+        places_m: (G, 3) where the palm goes, tracker's frame.
+
+    Raises:
+        UsageError: no place, a label given twice, or numbers no room has.
+        ArrayError: wrong shape, or places that are not finite.
+    """
+
+    labels: tuple[int, ...]
+    places_m: FloatArray
+
+    def __post_init__(self) -> None:
+        labels = tuple(int(label) for label in self.labels)
+        if not labels:
+            raise UsageError("goal places: wanted at least one, got none; give places, or do not infer goals")
+        twice = sorted({label for label in labels if labels.count(label) > 1})
+        if twice:
+            raise UsageError(
+                f"goal places: wanted every label once, got {', '.join(map(str, twice))} more often; "
+                "name each place differently"
+            )
+        places = checked("goal places", self.places_m, (len(labels), 3))
+        for label, place in zip(labels, places, strict=True):
+            if abs(label) > _LARGEST_LABEL or np.abs(place).max() > _FARTHEST_M:
+                raise UsageError(
+                    f"goal places: wanted labels up to {_LARGEST_LABEL} and places within {_FARTHEST_M:g} m, got "
+                    f"{label!s:.20} at {place.tolist()}; check the units"
+                )
+        object.__setattr__(self, "labels", labels)
+        object.__setattr__(self, "places_m", frozen(places))
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def place(self, label: int) -> FloatArray:
+        """Return the place (3,) of a label (UsageError if there is none)."""
+        self._check_known(label)
+        place: FloatArray = self.places_m[self.labels.index(label)]
+        return place
+
+    def with_goal(self, label: int, place_m: ArrayLike) -> GoalPlaces:
+        """Return these and one more, or the place (3,) of a known label changed."""
+        place = checked(f"place of goal {label}", place_m, (3,))
+        if label in self.labels:
+            places = np.array(self.places_m)
+            places[self.labels.index(label)] = place
+            return GoalPlaces(self.labels, places)
+        return GoalPlaces((*self.labels, label), np.vstack([self.places_m, place]))
+
+    def without(self, label: int) -> GoalPlaces:
+        """Return all but one (UsageError if there is no such label, or nothing would be left)."""
+        self._check_known(label)
+        kept = [k for k, other in enumerate(self.labels) if other != label]
+        return GoalPlaces(tuple(self.labels[k] for k in kept), self.places_m[kept])
+
+    def moved(self, T: ArrayLike) -> GoalPlaces:
+        """Return them moved by a rigid transform (4, 4), as into another frame (ArrayError if it is none)."""
+        T = checked("transform of goal places", T, (4, 4))
+        R = T[:3, :3]
+        rigid = np.abs(R @ R.T - np.eye(3)).max() < _RIGID_TOLERANCE and np.linalg.det(R) > 0
+        if not rigid or (T[3] != (0.0, 0.0, 0.0, 1.0)).any():
+            raise ArrayError(f"transform of goal places: wanted a rotation and a translation, got {T.tolist()}")
+        return GoalPlaces(self.labels, self.places_m @ R.T + T[:3, 3])
+
+    def out_of_reach(self, human: HumanModel, q: ArrayLike, lean_m: float = LEAN_M) -> tuple[OutOfReach, ...]:
+        """Return the places that somebody does not get to who stands in posture (D,).
+
+        Args:
+            human: whose posture it is.
+            q: usually the first of a reach.
+            lean_m: how much farther than the arm is long people get by leaning and stepping.
+
+        Raises:
+            HumanModelError: a posture of another human, or one without a right arm.
+        """
+        palm, elbow, shoulder = human.link_poses(q)[point_links(human)[:3]][..., :3, 3]
+        limit_m = float(np.linalg.norm(palm - elbow) + np.linalg.norm(elbow - shoulder)) + lean_m
+        distances = np.linalg.norm(self.places_m - shoulder, axis=1).tolist()
+        return tuple(
+            OutOfReach(label, distance, limit_m)
+            for label, distance in zip(self.labels, distances, strict=True)
+            if distance > limit_m
+        )
+
+    @classmethod
+    def of_library(cls, library: MotionLibrary, human: HumanModel, *, without_motion: str | None = None) -> GoalPlaces:
+        """Return one place for each class of a library: where its motions have their farthest palm.
+
+        Args:
+            library: of this human; motions without a label do not count.
+            human: whose right palm it is.
+            without_motion: a motion (`class/index`) that has no say, as one that shall be tested.
+
+        Raises:
+            LibraryFormatError: no labelled motions, or a class whose only motion is left out.
+            UsageError: no motion of that name.
+            HumanModelError: a library of another human.
+        """
+        left_out = None if without_motion is None else library.find(without_motion).name
+        return cls.of_ends(reach_ends(library, human), without_motion=left_out)
+
+    @classmethod
+    def of_ends(cls, ends: Sequence[ReachEnd], *, without_motion: str | None = None) -> GoalPlaces:
+        """Return one place for each label among ends of reaches; as `of_library`."""
+        labels = sorted({end.label for end in ends if end.label is not None})
+        if not labels:
+            raise LibraryFormatError("goal places: wanted motions with a label, got none; label them or give places")
+        by_label = {c: [end for end in ends if end.label == c and end.name != without_motion] for c in labels}
+        for label, found in by_label.items():
+            if not found:
+                raise LibraryFormatError(
+                    f"goal places: wanted a motion that shows where goal {label} is, got only {without_motion}, which "
+                    "is left out; record more or give the goal's place"
+                )
+        return cls(tuple(labels), np.array([typical_end(found) for found in by_label.values()]))
+
+    def _check_known(self, label: int) -> None:
+        if label not in self.labels:
+            raise UsageError(f"goal places: wanted one of the labels {', '.join(map(str, self.labels))}, got {label}")
+
+
+@dataclass(frozen=True, eq=False)
+class ReachEnd:
+    """Where one motion's palm was farthest from its start.
+
+    Attributes:
+        name: of the motion, `class/index`.
+        label: its class, None if it has none.
+        place_m: (3,) tracker's frame.
+        tracked: False if the motion is plainly mistracked or mislabelled (`motion.cleaning`).
+    """
+
+    name: str
+    label: int | None
+    place_m: FloatArray
+    tracked: bool
+
+
+def reach_ends(library: MotionLibrary, human: HumanModel) -> tuple[ReachEnd, ...]:
+    """Return where each motion's palm was farthest from its start, a lost arm forgiven, in the library's order.
+
+    Raises:
+        HumanModelError: a library of another human.
+    """
+    wrong = mistracked(library, human)
+    return tuple(
+        ReachEnd(motion.name, motion.label, farthest_palm(motion, human), motion.name not in wrong)
+        for motion in library
+    )
+
+
+def reaching_for(ends: Sequence[ReachEnd], labels: Collection[int]) -> frozenset[str]:
+    """Return the names of motions of these labels, and of those that end nearer to their places than to their own.
+
+    What must not have been seen by somebody who is said to know nothing of a class: labels may be wrong.
+    """
+    ofs: dict[int, list[ReachEnd]] = {}
+    for end in ends:
+        if end.label is not None:
+            ofs.setdefault(end.label, []).append(end)
+    places = {label: typical_end(group) for label, group in ofs.items()}
+    found = set()
+    for end in ends:
+        distance = {label: float(np.linalg.norm(end.place_m - place)) for label, place in places.items()}
+        own = distance.get(end.label, np.inf) if end.label is not None else np.inf
+        if end.label in labels or any(label in labels and distance[label] < own for label in distance):
+            found.add(end.name)
+    return frozenset(found)
+
+
+def mistracked(library: MotionLibrary, human: HumanModel) -> Collection[str]:
+    """Return the names of motions that are plainly mistracked or mislabelled."""
+    return frozenset(flag.motion for flag in flag_library(library, model=human) if flag.reason in DROP_REASONS)
+
+
+def typical_end(ends: Sequence[ReachEnd]) -> FloatArray:
+    """Return the median (3,) of the ends (at least one) that were tracked, of all if none was."""
+    counted = [end.place_m for end in ends if end.tracked] or [end.place_m for end in ends]
+    place: FloatArray = np.median(counted, axis=0)
+    return place

@@ -1,0 +1,276 @@
+"""Predicting a reach by planning it: what would somebody do who minimises the learned cost (P2 III-D)?
+
+STOMP of `planning` plans the whole body of the human from where the reach starts to where it ends, beside a partner who
+holds still. Chance makes every prediction another one; how much they differ says how sure they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from humanpred_ros.errors import MotionError, PlanningError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
+from humanpred_ros.geometry.distance_field import SignedDistanceField
+from humanpred_ros.human.chain_points import ChainPoints
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.reaching.body import BodyCapsules
+from humanpred_ros.reaching.cost_terms import (
+    CLEARANCE_M,
+    OBSTACLE_WEIGHT,
+    BodyCost,
+    PostureSmoothness,
+    ReachBody,
+)
+from humanpred_ros.reaching.features import LINK_POINTS, N_FEATURES, FeatureConfig, ReachSituation
+from humanpred_ros.reaching.first_guess import FirstGuess, straight_line
+from humanpred_ros.reaching.posture_bounds import PostureBounds
+from humanpred_ros.reaching.reach_task import ReachTask
+from humanpred_ros.reaching.surroundings import ReachScene
+from humanpred_ros.stomp import iteration_kernels
+from humanpred_ros.stomp.planner import StompConfig, StompPlanner
+from humanpred_ros.stomp.smoothness import smoothness
+
+#: Beyond the cutoff of every feature.
+_FAR_M = 1e3
+
+
+@dataclass(frozen=True)
+class ReachPlannerConfig:
+    """How reaches are planned; defaults are P2's (facts section 6).
+
+    Attributes:
+        stomp: of the planner; the weights in it are not used.
+        noise_share: the noise of a DoF in the middle of a reach is at most this share of half its range. A translation
+            that may go 0.05 m would otherwise get noise of 0.07 m and be pushed back at every roll-out; P2's code
+            shrinks such noise until it fits.
+        obstacle_weight, clearance_m: of table and partner.
+        averaged: a plan is the mean of so many, each with its own chance: what they agree on remains.
+        authors_rollouts: count the posture's features with weight 1 in roll-outs, and with the learned weights only
+            where the best trajectory is chosen, as the authors' code does (facts section 4).
+    """
+
+    stomp: StompConfig = field(
+        default_factory=lambda: StompConfig(
+            n_waypoints=100, n_iterations=100, n_rollouts=10, n_reused=5, noise_std=0.001
+        )
+    )
+    noise_share: float = 0.5
+    obstacle_weight: float = OBSTACLE_WEIGHT
+    clearance_m: float = CLEARANCE_M
+    averaged: int = 1
+    authors_rollouts: bool = False
+
+    def __post_init__(self) -> None:
+        if self.averaged < 1 or not self.noise_share > 0.0:
+            raise PlanningError(
+                f"reach planning: wanted averaged >= 1 and noise_share > 0, got {self.averaged} and {self.noise_share}"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Partner:
+    """Somebody beside the reaching person, in the posture of one moment.
+
+    Attributes:
+        points_m: (4, 3) of `LINK_POINTS`, for the features.
+        field: distances to table and partner.
+    """
+
+    points_m: FloatArray
+    field: SignedDistanceField
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedReach:
+    """A predicted reach.
+
+    Attributes:
+        q: (N, J) postures, evenly in time.
+        duration_s: from the first to the last.
+        cost: shares of the cost: posture, body (wrist, partner and obstacles).
+        total: their sum.
+        iterations: of the planner.
+    """
+
+    q: FloatArray
+    duration_s: float
+    cost: dict[str, float]
+    total: float
+    iterations: int
+
+    def at(self, t_s: ArrayLike) -> FloatArray:
+        """Return the postures (T, J) at times (T,) since the reach's start; before it the first, after it the last."""
+        return resampled(np.linspace(0.0, self.duration_s, len(self.q)), self.q, np.asarray(t_s, dtype=np.float64))
+
+
+class ReachPlanner:
+    """Plans reaches of one human with one set of weights; holds no state, so threads may share it.
+
+    Args:
+        model: the human who reaches; the partner has the same kinematics.
+        weights: (24,) of the features, 0 or more.
+        bounds: of the postures.
+        scene: table and region; P2's if None.
+        config: of the planning.
+        guess: what planning begins with where nothing else is given.
+
+    Raises:
+        PlanningError: weights that cannot be.
+    """
+
+    def __init__(
+        self,
+        model: HumanModel,
+        weights: ArrayLike,
+        bounds: PostureBounds,
+        scene: ReachScene | None = None,
+        config: ReachPlannerConfig | None = None,
+        guess: FirstGuess = straight_line,
+    ) -> None:
+        w = checked("reach weights", weights, (N_FEATURES,), error=PlanningError)
+        if not (w >= 0.0).all():
+            raise PlanningError(f"reach weights: wanted 0 or more, got {w.min()}")
+        self.model, self.bounds, self.guess = model, bounds, guess
+        self.weights: FloatArray = frozen(w)  # type: ignore[assignment]
+        self.scene = scene or ReachScene.of_p2()
+        self.config = config or ReachPlannerConfig()
+        self.features = FeatureConfig(n_waypoints=self.config.stomp.n_waypoints)
+        self._body = ReachBody(model)
+        self._partner_points = ChainPoints(model, LINK_POINTS)
+        self._partner_capsules = BodyCapsules.of(model)
+
+    def partner(self, q: ArrayLike) -> Partner:
+        """Return a partner in posture (J,); worth keeping where several reaches are planned beside it."""
+        posture = checked("partner", q, (len(self.model.dof_names),), error=MotionError)
+        ends = self._partner_capsules.placed(self.model, posture)
+        points = np.asarray(self._partner_points.positions(posture), dtype=np.float64)
+        return Partner(points, self.scene.field_with(ends, self._partner_capsules.radius_m))
+
+    def nobody(self) -> Partner:
+        """Return what stands for a partner where there is none: too far away to count."""
+        return Partner(np.full((len(LINK_POINTS), 3), _FAR_M), self.scene.field)
+
+    def plan(
+        self,
+        start: ArrayLike,
+        goal: ArrayLike,
+        duration_s: float,
+        partner: Partner,
+        rng: np.random.Generator,
+        history: ArrayLike | None = None,
+        initial: ArrayLike | None = None,
+    ) -> PlannedReach:
+        """Return the best reach that the planner met.
+
+        Args:
+            start, goal: (J,) first and last posture, angles continuous from one to the other.
+            duration_s: of the reach.
+            partner: who holds still.
+            rng: source of all chance.
+            history: (6, J) postures at the waypoints' spacing before the start, the latest last; None for a person
+                at rest.
+            initial: (N, J) reach to begin with; the first guess if None.
+
+        Raises:
+            MotionError: arrays or numbers that do not fit.
+        """
+        n, J = self.config.stomp.n_waypoints, len(self.model.dof_names)
+        first, last = (checked(k, v, (J,), error=MotionError) for k, v in (("start", start), ("goal", goal)))
+        past = None if history is None else checked("history", history, ("H", J), error=MotionError)
+        lower, upper = self.bounds.around(first, last)
+        if initial is None:
+            begin = self.guess(first, last, np.linspace(0.0, 1.0, n))
+        else:
+            begin = np.array(checked("initial reach", initial, (n, J), error=MotionError))
+        begin[0], begin[-1] = first, last
+        planner = StompPlanner(self._terms(first, duration_s, partner, past), lower, upper, self.config.stomp)
+        noise = self._noise(lower, upper)
+        if self.config.averaged == 1:
+            planned = planner.plan(begin, rng, noise_std=noise)
+        else:
+            plans = [planner.plan(begin, source, noise_std=noise) for source in rng.spawn(self.config.averaged)]
+            mean = np.mean([plan.waypoints for plan in plans], axis=0)
+            planned = planner.assess(mean, sum(plan.iterations for plan in plans))
+        return PlannedReach(planned.waypoints, duration_s, planned.cost, planned.total, planned.iterations)
+
+    def costs(
+        self, q: ArrayLike, duration_s: float, partner: Partner, history: ArrayLike | None = None
+    ) -> dict[str, FloatArray]:
+        """Return what reaches (R, N, J) from one posture cost, (R,) by reason: posture, wrist, partner, obstacle.
+
+        Raises:
+            MotionError: arrays or numbers that do not fit.
+        """
+        n, J = self.config.stomp.n_waypoints, len(self.model.dof_names)
+        reaches = checked("reaches", q, ("R", n, J), error=MotionError)
+        past = None if history is None else checked("history", history, ("H", J), error=MotionError)
+        if len(reaches) == 0 or (reaches[:, 0] != reaches[0, 0]).any():
+            raise MotionError(f"reaches: wanted one or more that start in one posture, got {len(reaches)}")
+        posture, body = self._terms(reaches[0, 0], duration_s, partner, past)
+        shares = {"posture": posture.costs(reaches), **body.shares(reaches)}
+        return {name: values.sum(axis=1, dtype=np.float64) for name, values in shares.items()}
+
+    def _terms(
+        self, first: FloatArray, duration_s: float, partner: Partner, past: FloatArray | None
+    ) -> tuple[PostureSmoothness, BodyCost]:
+        cfg, n = self.config, self.config.stomp.n_waypoints
+        situation = ReachSituation(duration_s, partner.points_m, past)
+        of_rollouts = np.ones(4) if cfg.authors_rollouts else None
+        return (
+            PostureSmoothness(self.weights[:4], duration_s, n, first, past, of_rollouts),
+            BodyCost(
+                self._body, self.weights, situation, n, first, partner.field, cfg.obstacle_weight, cfg.clearance_m,
+                self.features,
+            ),
+        )  # fmt: skip
+
+    def _noise(self, lower: FloatArray, upper: FloatArray) -> FloatArray:
+        """Return the scale of the noise of each DoF (J,), no more than fits its bounds."""
+        most = self.config.noise_share * 0.5 * (upper - lower) / unit_deviation(self.config.stomp.n_waypoints)
+        noise: FloatArray = np.minimum(self.config.stomp.noise_std, most)
+        return noise
+
+
+@lru_cache(maxsize=8)
+def unit_deviation(n_waypoints: int) -> float:
+    """Return the standard deviation of STOMP's noise of unit scale in the middle of a trajectory (100: 70)."""
+    smooth = smoothness(n_waypoints)
+    middle = np.zeros((smooth.n_free, 1))
+    middle[smooth.n_free // 2] = 1.0
+    iteration_kernels.solve(smooth.factor, middle)
+    return float(np.sqrt(middle[smooth.n_free // 2, 0]))
+
+
+@dataclass(frozen=True)
+class SingleShot:
+    """Predicts a reach by one plan beside the partner's first posture."""
+
+    planner: ReachPlanner
+
+    def predict(self, task: ReachTask, rng: np.random.Generator) -> FloatArray:
+        """Return the postures (n, J) at the task's stamps.
+
+        Raises:
+            HumanModelError: a task for another human.
+        """
+        q: FloatArray = self.samples(task, rng, 1)[0]
+        return q
+
+    def samples(self, task: ReachTask, rng: np.random.Generator, count: int) -> FloatArray:
+        """Return `count` predictions (count, n, J) that differ by chance."""
+        self.planner.model.check_dofs(task.dof_names)
+        partner = self.planner.partner(task.partner.q[0])
+        reaches = [
+            self.planner.plan(task.start, task.goal, task.duration_s, partner, source) for source in rng.spawn(count)
+        ]
+        return np.stack([reach.at(task.t_s - task.t_s[0]) for reach in reaches])
+
+
+def resampled(t_s: FloatArray, q: FloatArray, wanted_s: FloatArray) -> FloatArray:
+    """Return postures (T, J) at times (T,), interpolated between postures (n, J) at times (n,)."""
+    postures: FloatArray = np.stack([np.interp(wanted_s, t_s, column) for column in q.T], axis=-1)
+    return postures

@@ -1,0 +1,147 @@
+"""What a reach has to stay clear of: the table with its boxes, and the partner as capsules (facts section 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from humanpred_ros.errors import SceneError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
+from humanpred_ros.geometry.distance_field import SignedDistanceField, build_distance_field
+from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
+from humanpred_ros.reaching.cost_kernels import lower_to_capsules
+
+#: Distances above this need not be told apart: clearance plus the thickest body's radius, and what an interpolated
+#: distance may be off.
+CAP_M = 0.35
+#: Cells of P2's distance field.
+RESOLUTION_M = 0.03
+
+#: P2's table: pose of its frame, and its boxes there as name, full size, centre; metres.
+_TABLE_PLACE = (1.84, 1.41, 0.70, np.deg2rad(166.572))
+_TABLE_BOXES = (
+    ("table_top", (1.21, 0.50, 0.02), (0.0, 0.0, 0.0)),
+    ("central_box", (0.50, 0.30, 0.18), (0.0, -0.10, 0.09)),
+    ("left_box", (0.15, 0.22, 0.29), (0.325, -0.14, 0.15)),
+    ("right_box", (0.15, 0.22, 0.29), (-0.325, -0.14, 0.15)),
+    ("front_left", (0.23, 0.17, 0.02), (0.12, 0.16, 0.02)),
+    ("front_right", (0.23, 0.17, 0.02), (-0.12, 0.16, 0.02)),
+)
+#: Where reaches at that table happen; beyond, the distance at the border stands in.
+_REGION_M = ((0.9, 0.3, 0.6), (2.6, 2.0, 1.9))
+#: And so far around other obstacles.
+_AROUND_M = 0.6
+
+
+@dataclass(frozen=True, eq=False)
+class ReachScene:
+    """Fixed obstacles in the frame of the recordings, with the distances to them: immutable.
+
+    Attributes:
+        obstacles: by name; may be none.
+        lower_m, upper_m: (3,) corners of the region in which distances are known.
+        resolution_m: of the lattice of distances.
+
+    Raises:
+        SceneError: an empty region.
+    """
+
+    obstacles: tuple[Obstacle, ...]
+    lower_m: FloatArray
+    upper_m: FloatArray
+    resolution_m: float = RESOLUTION_M
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "obstacles", tuple(self.obstacles))
+        for name in ("lower_m", "upper_m"):
+            value = checked(f"reach scene: {name}", getattr(self, name), (3,), error=SceneError)
+            object.__setattr__(self, name, frozen(value))
+        if not (self.upper_m > self.lower_m).all() or not 0.0 < self.resolution_m < np.inf:
+            raise SceneError(
+                f"reach scene: wanted a region with lower < upper and a positive resolution, got {self.lower_m}, "
+                f"{self.upper_m} and {self.resolution_m}"
+            )
+        # Without obstacles one far below keeps the lattice's size; all distances are then the cap.
+        far = Obstacle("none", Box(planar_pose(self.lower_m[0], self.lower_m[1], self.lower_m[2] - 10.0), np.ones(3)))
+        field = build_distance_field(
+            self.obstacles or (far,), self.lower_m, self.upper_m, self.resolution_m, cap_m=CAP_M
+        )
+        object.__setattr__(self, "_field", field)
+
+    @classmethod
+    def of_p2(cls) -> ReachScene:
+        """Return the table of P2's recordings."""
+        return _of_p2()
+
+    @classmethod
+    def of_obstacles(cls, obstacles: Sequence[Obstacle], T: ArrayLike) -> ReachScene:
+        """Return obstacles moved by a rigid transform (4, 4), as from the world to a tracker's frame, and around them.
+
+        Raises:
+            ArrayError: a transform that is not rigid.
+        """
+        move = checked("reach scene: transform", T, (4, 4))
+        moved = tuple(
+            Obstacle(obstacle.name, replace(obstacle.shape, T_world_shape=move @ obstacle.shape.T_world_shape))
+            for obstacle in obstacles
+        )
+        if not moved:
+            return cls.empty()
+        centre = np.array([obstacle.shape.T_world_shape[:3, 3] for obstacle in moved])
+        half = np.array([obstacle.shape.half_extent_m for obstacle in moved])
+        return cls(moved, (centre - half).min(axis=0) - _AROUND_M, (centre + half).max(axis=0) + _AROUND_M)
+
+    @classmethod
+    def around_hands(cls, hands_m: ArrayLike) -> ReachScene:
+        """Return the table of P2's recordings if hands (M, 3) come into its region, else where they go without a table.
+
+        Raises:
+            SceneError: no hands, or places that are not finite.
+        """
+        hands = checked("reach scene: hands", hands_m, ("M", 3), error=SceneError)
+        if not len(hands):
+            raise SceneError("reach scene: wanted places of hands, got none")
+        lower, upper = np.array(_REGION_M)
+        if ((hands > lower) & (hands < upper)).all(axis=1).any():
+            return cls.of_p2()
+        return cls((), hands.min(axis=0) - _AROUND_M, hands.max(axis=0) + _AROUND_M)
+
+    @classmethod
+    def empty(cls) -> ReachScene:
+        """Return the region of P2's recordings without a table."""
+        return cls((), np.array(_REGION_M[0]), np.array(_REGION_M[1]))
+
+    @property
+    def field(self) -> SignedDistanceField:
+        """Distances to the fixed obstacles, up to `CAP_M`."""
+        return self._field  # type: ignore[attr-defined, no-any-return]
+
+    def field_with(self, ends_m: ArrayLike, radius_m: ArrayLike) -> SignedDistanceField:
+        """Return distances to the fixed obstacles and to capsules with ends (K, 2, 3) and radii (K,).
+
+        Raises:
+            SceneError: arrays of other shapes.
+        """
+        radius = checked("capsules' radii", radius_m, ("K",), error=SceneError)
+        ends = checked("capsules' ends", ends_m, (len(radius), 2, 3), error=SceneError)
+        field = self.field
+        values = field.values.copy()
+        lower_to_capsules(
+            values, field.origin_m.astype(np.float32), np.float32(field.resolution_m), ends.astype(np.float32),
+            radius.astype(np.float32), np.float32(CAP_M),
+        )  # fmt: skip
+        return SignedDistanceField(field.origin_m, field.resolution_m, values)
+
+
+@lru_cache(maxsize=1)
+def _of_p2() -> ReachScene:
+    return ReachScene(_table(), np.array(_REGION_M[0]), np.array(_REGION_M[1]))
+
+
+def _table() -> tuple[Obstacle, ...]:
+    T = planar_pose(*_TABLE_PLACE)
+    return tuple(Obstacle(name, Box(T @ planar_pose(*centre), np.array(size))) for name, size, centre in _TABLE_BOXES)

@@ -1,0 +1,157 @@
+"""Bounds are those of the demonstrations with P2's margins, and never exclude the reach itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from paths import shared_data
+from reaching_people import GOAL, MODEL, START, recording
+
+from humanpred_ros.errors import GoalUnreachableError, MotionError, UsageError
+from humanpred_ros.motion.reach_recordings import load_reach_recordings
+from humanpred_ros.reaching.posture_bounds import BoundsConfig, PostureBounds
+
+RECORDINGS = [recording(seed) for seed in range(3)]
+COLUMN = MODEL.dof_index
+
+
+def test_margins_are_those_of_p2() -> None:
+    bounds = PostureBounds.from_recordings(RECORDINGS, MODEL)
+    q = np.concatenate([r.active.q for r in RECORDINGS])
+    for name, margin in (("PelvisTransX", 0.02), ("rForeArmTrans", 0.02), ("rShoulderTransZ", 0.02),
+                         ("PelvisRotZ", 0.05), ("PelvisRotX", 0.05)):  # fmt: skip
+        k = COLUMN[name]
+        assert not bounds.free[k]
+        assert bounds.lower[k] == pytest.approx(q[:, k].min() - margin)
+        assert bounds.upper[k] == pytest.approx(q[:, k].max() + margin)
+    assert [name for name, free in zip(MODEL.dof_names, bounds.free, strict=True) if free] == [
+        "TorsoX", "TorsoZ", "TorsoY", "rShoulderY1", "rShoulderX", "rShoulderY2", "rElbowZ", "rElbowX", "rElbowY",
+        "rWristZ", "rWristX", "rWristY",
+    ]  # fmt: skip
+
+
+def test_free_rotations_may_go_half_a_turn_from_the_reach_wherever_that_is() -> None:
+    bounds = PostureBounds.from_recordings(RECORDINGS, MODEL)
+    k = COLUMN["rElbowZ"]
+    start, goal = START.copy(), GOAL.copy()
+    start[k] += 2.0 * np.pi
+    goal[k] += 2.0 * np.pi
+    lower, upper = bounds.around(START, GOAL)
+    shifted_lower, shifted_upper = bounds.around(start, goal)
+    assert shifted_lower[k] == pytest.approx(lower[k] + 2.0 * np.pi)
+    assert shifted_upper[k] == pytest.approx(upper[k] + 2.0 * np.pi)
+    assert upper[k] - lower[k] >= 2.0 * np.pi
+
+
+def test_a_reach_beyond_the_demonstrations_widens_its_bounds() -> None:
+    bounds = PostureBounds.from_recordings(RECORDINGS, MODEL)
+    goal = GOAL.copy()
+    goal[0] = 3.0
+    lower, upper = bounds.around(START, goal)
+    assert upper[0] == 3.0
+    assert lower[0] == bounds.lower[0]
+    assert (lower <= START).all()
+    assert (upper >= goal).all()
+
+
+def test_all_rotations_may_be_bounded() -> None:
+    bounds = PostureBounds.from_recordings(RECORDINGS, MODEL, BoundsConfig(rotation_rad=0.1))
+    k = COLUMN["TorsoX"]
+    q = np.concatenate([r.active.q for r in RECORDINGS])
+    assert not bounds.free.any()
+    assert bounds.upper[k] == pytest.approx(q[:, k].max() + 0.1)
+
+
+def test_bounds_of_p2s_recordings() -> None:
+    bounds = PostureBounds.from_recordings(load_reach_recordings(shared_data("icra2015/demos")), MODEL)
+    # Facts section 3, less and plus the margins.
+    for name, low, high, margin in (("PelvisTransX", 1.9657, 2.1621, 0.02), ("PelvisRotZ", 1.8006, 2.3606, 0.05),
+                                    ("rForeArmTrans", 0.1881, 0.2509, 0.02)):  # fmt: skip
+        k = COLUMN[name]
+        assert bounds.lower[k] == pytest.approx(low - margin, abs=1e-4)
+        assert bounds.upper[k] == pytest.approx(high + margin, abs=1e-4)
+
+
+def test_relative_bounds_go_with_the_reach_and_leave_as_much_room_as_demonstrations_took() -> None:
+    bounds = PostureBounds.from_recordings(RECORDINGS, MODEL, BoundsConfig(relative=True))
+    k, free = COLUMN["PelvisTransX"], COLUMN["rElbowZ"]
+    paths = [recording.active.q[:, k] for recording in RECORDINGS]
+    farthest = max(float(path.max() - max(path[0], path[-1])) for path in paths)
+    for moved in (0.0, 1.5):  # wherever somebody stands
+        start, goal = START.copy(), GOAL.copy()
+        start[k] += moved
+        goal[k] += moved
+        lower, upper = bounds.around(start, goal)
+        assert upper[k] - max(start[k], goal[k]) == pytest.approx(farthest + 0.02)
+        assert (lower < np.minimum(start, goal)).all()
+        assert upper[free] - max(start[free], goal[free]) == pytest.approx(np.pi)
+
+
+def test_relative_bounds_of_p2s_recordings_hold_the_recordings_and_leave_the_trunk_little_room() -> None:
+    recordings = load_reach_recordings(shared_data("icra2015/demos"))
+    bounds = PostureBounds.from_recordings(recordings, MODEL, BoundsConfig(relative=True))
+    for entry in recordings:
+        q = entry.active.q
+        lower, upper = bounds.around(q[0], q[-1])
+        assert (q >= lower).all()
+        assert (q <= upper).all()
+    k = COLUMN["PelvisTransX"]
+    absolute = PostureBounds.from_recordings(recordings, MODEL)
+    still = recordings[0].active.q[0]
+    lower, upper = bounds.around(still, still)
+    assert upper[k] - lower[k] < 0.06 < 0.23 < absolute.upper[k] - absolute.lower[k]
+    # Whether a goal is to be believed is still told by where demonstrations ended.
+    far = still.copy()
+    far[k] += 3.0
+    with pytest.raises(GoalUnreachableError):
+        bounds.check_goal("far", far)
+
+
+def test_bad_input_is_refused() -> None:
+    with pytest.raises(MotionError, match="room beyond"):
+        PostureBounds(np.zeros(3), np.ones(3), np.zeros(3, dtype=np.bool_), beyond=np.zeros((2, 3)))
+    with pytest.raises(MotionError, match="at least one"):
+        PostureBounds.from_recordings([], MODEL)
+    with pytest.raises(MotionError, match="lower < upper"):
+        PostureBounds(np.ones(3), np.zeros(3), np.zeros(3, dtype=np.bool_))
+
+
+def test_goals_beyond_the_demonstrations_are_told_by_name() -> None:
+    bounds = PostureBounds.from_recordings(RECORDINGS, MODEL)
+    assert bounds.check_goal("r", GOAL) == ()
+    goal = GOAL.copy()
+    goal[COLUMN["rForeArmTrans"]] += 0.1
+    goal[COLUMN["PelvisRotZ"]] -= 0.9
+    goal[COLUMN["rElbowZ"]] += 3.0  # a free rotation
+    said = bounds.check_goal("r", goal)
+    assert [text.split(",")[0] for text in said] == [
+        "r: goal with PelvisRotZ 1.300",
+        "r: goal with rForeArmTrans 0.345",
+    ]
+    assert all("bounds are widened for it" in text for text in said)
+
+
+def test_goals_out_of_reach_are_refused_by_name() -> None:
+    bounds = PostureBounds.from_recordings(RECORDINGS, MODEL)
+    goal = GOAL.copy()
+    goal[0] += 3.0
+    with pytest.raises(GoalUnreachableError, match=r"made_up: goal with PelvisTransX 5.050.*within reach"):
+        bounds.check_goal("made_up", goal)
+    wide = PostureBounds.from_recordings(RECORDINGS, MODEL, BoundsConfig(out_of_reach=4.0))
+    assert len(wide.check_goal("made_up", goal)) == 1
+    with pytest.raises(MotionError, match="made_up: goal"):
+        bounds.check_goal("made_up", goal[:5])
+
+
+def test_goals_of_p2s_recordings_are_within_reach_of_the_others() -> None:
+    recordings = load_reach_recordings(shared_data("icra2015/demos"))
+    for left_out in recordings:
+        others = [entry for entry in recordings if entry.name != left_out.name]
+        bounds = PostureBounds.from_recordings(others, MODEL)
+        assert len(bounds.check_goal(left_out.name, left_out.active.q[-1])) <= 1
+
+
+@pytest.mark.parametrize("bad", [{"translation_m": 0.0}, {"pelvis_rad": np.nan}, {"rotation_rad": -0.1}])
+def test_impossible_margins_are_refused(bad: dict[str, float]) -> None:
+    with pytest.raises(UsageError, match="posture bounds"):
+        BoundsConfig(**bad)  # type: ignore[arg-type]
