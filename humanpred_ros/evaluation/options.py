@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from humanpred_ros.evaluation.evaluation_files import check_writable, replacing, write_json
+from humanpred_ros.evaluation.outputs import check_writable, replacing, write_json
 from humanpred_ros.evaluation.parallel import usable_cores
 from humanpred_ros.motion.csv_library import DEFAULT_FRAME_PERIOD_S
 from humanpred_ros.motion.library_io import load_library

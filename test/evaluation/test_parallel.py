@@ -6,13 +6,17 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from functools import partial
 from operator import mod
 
+import numpy as np
 import pytest
+from distributed import LocalCluster
 from waiting import processes_with_environment, wait_until
 
 from humanpred_ros.errors import ArrayError, UsageError
+from humanpred_ros.evaluation import parallel
 from humanpred_ros.evaluation.parallel import WorkerError, map_processes, usable_cores
 from humanpred_ros.geometry.checks import checked
 
@@ -57,11 +61,39 @@ def test_no_jobs_are_refused() -> None:
         map_processes(abs, [1], 0)
 
 
-def test_an_error_comes_back_as_itself_with_its_traceback() -> None:
-    with pytest.raises(ArrayError, match=r"wanted shape \(3,\), got \(2,\)") as caught:
+def test_an_error_comes_back_as_itself_with_its_task_and_traceback() -> None:
+    with pytest.raises(ArrayError, match=r"^\[1, 2\]: .*wanted shape \(3,\), got \(2,\)") as caught:
         map_processes(partial(checked, "q", shape=(3,)), [[1, 2, 3], [1, 2]], 2)
     assert isinstance(caught.value.__cause__, WorkerError)
     assert "checks.py" in str(caught.value.__cause__)
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[str]:
+    """Give the address of a Dask scheduler with two workers on this machine."""
+    with LocalCluster(n_workers=2, threads_per_worker=2, host="127.0.0.1", dashboard_address=None) as started:
+        yield started.scheduler_address
+
+
+def test_a_cluster_gives_the_same_bit_for_bit(cluster: str) -> None:
+    done: list[int] = []
+    tasks = [f"__import__('numpy').random.default_rng({k}).random((90, 90)) @ ([0.1] * 90)" for k in range(6)]
+    spread = map_processes(eval, tasks, 1, done.append, cluster)
+    assert done == [1, 2, 3, 4, 5, 6]
+    for ours, theirs in zip(map_processes(eval, tasks, 2), spread, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_an_error_on_a_cluster_comes_back_as_itself_with_its_task(cluster: str) -> None:
+    with pytest.raises(ArrayError, match=r"^\[1, 2\]: .*wanted shape \(3,\)") as caught:
+        map_processes(partial(checked, "q", shape=(3,)), [[1, 2, 3], [1, 2]], 1, scheduler=cluster)
+    assert "checks.py" in str(caught.value.__cause__)
+
+
+def test_a_scheduler_that_does_not_answer_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parallel, "_CONNECT_TIMEOUT_S", 0.3)
+    with pytest.raises(UsageError, match=r"scheduler: .*tcp://127\.0\.0\.1:9"):
+        map_processes(abs, [1], 1, scheduler="tcp://127.0.0.1:9")
 
 
 def test_an_error_that_cannot_travel_is_told_in_words() -> None:
@@ -70,7 +102,7 @@ def test_an_error_that_cannot_travel_is_told_in_words() -> None:
 
 
 def test_a_worker_that_dies_is_reported() -> None:
-    with pytest.raises(UsageError, match=r"exit code 7.*fewer jobs"):
+    with pytest.raises(UsageError, match=r"EXIT\(7\).*on 7.*fewer jobs"):
         map_processes(os._exit, [7], 1)
 
 

@@ -10,10 +10,10 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.evaluation_files import machine_facts, plain
 from humanpred_ros.evaluation.graph_bench.bench import TARGET_MS, TARGET_READY_S, GraphBench, GraphCase, bench_graph
 from humanpred_ros.evaluation.graph_bench.latency import Delays
 from humanpred_ros.evaluation.options import Outputs, add_outputs
+from humanpred_ros.evaluation.outputs import machine_facts, plain
 from humanpred_ros.evaluation.planner_bench.others import OthersCores
 
 

@@ -17,7 +17,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.evaluation_files import library_facts, machine_facts
 from humanpred_ros.evaluation.interference.measures import RunFigures
 from humanpred_ros.evaluation.interference.reference import PublishedRow
 from humanpred_ros.evaluation.interference.result import (
@@ -43,6 +42,7 @@ from humanpred_ros.evaluation.interference.world import (
     running_numbers,
     training_library,
 )
+from humanpred_ros.evaluation.outputs import library_facts, machine_facts
 from humanpred_ros.evaluation.parallel import map_processes
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from humanpred_ros.evaluation.evaluation_files import plain
 from humanpred_ros.evaluation.interference.avoidance import Avoidance
 from humanpred_ros.evaluation.interference.measures import Contact, RunFigures
 from humanpred_ros.evaluation.interference.reference import PublishedRow
+from humanpred_ros.evaluation.outputs import plain
 from humanpred_ros.evaluation.target import Target
 
 BASIC = "basic"

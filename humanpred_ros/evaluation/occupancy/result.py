@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from humanpred_ros.evaluation.evaluation_files import plain
 from humanpred_ros.evaluation.occupancy.runs import MotionOutcome, Picture
 from humanpred_ros.evaluation.occupancy.scores import BIN_EDGES, Reliability, VoxelScores
+from humanpred_ros.evaluation.outputs import plain
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.predictors.leave_one_out import learned_from_class
 

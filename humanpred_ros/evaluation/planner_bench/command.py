@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.evaluation_files import machine_facts, plain
 from humanpred_ros.evaluation.options import Outputs, add_outputs
+from humanpred_ros.evaluation.outputs import machine_facts, plain
 from humanpred_ros.evaluation.planner_bench.bench import (
     PUBLISHED_MS,
     TARGET_GOALS_MS,

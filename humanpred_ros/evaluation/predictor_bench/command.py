@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.evaluation_files import machine_facts, plain
 from humanpred_ros.evaluation.options import Outputs, add_library, add_outputs, read_library
+from humanpred_ros.evaluation.outputs import machine_facts, plain
 from humanpred_ros.evaluation.planner_bench.others import OthersCores
 from humanpred_ros.evaluation.predictor_bench.bench import PredictorBench, bench_predictor
 from humanpred_ros.evaluation.predictor_bench.node import TARGET_HZ, NodeResult

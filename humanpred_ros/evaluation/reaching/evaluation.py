@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.evaluation_files import machine_facts
+from humanpred_ros.evaluation.outputs import machine_facts
 from humanpred_ros.evaluation.parallel import map_processes
 from humanpred_ros.evaluation.reaching.entry import ReachingMaterial
 from humanpred_ros.evaluation.reaching.evaluation_result import ReachingEvaluation

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from humanpred_ros.evaluation.evaluation_files import plain
+from humanpred_ros.evaluation.outputs import plain
 from humanpred_ros.evaluation.reaching.recovery import RecoveryFigures
 from humanpred_ros.evaluation.reaching.result import ReachingSet
 from humanpred_ros.evaluation.reaching.timing import PredictionTime

@@ -9,7 +9,6 @@ from pathlib import Path
 from rich.console import Console
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.evaluation_files import library_facts, machine_facts
 from humanpred_ros.evaluation.options import (
     Outputs,
     add_jobs,
@@ -19,6 +18,7 @@ from humanpred_ros.evaluation.options import (
     progress_lines,
     read_library,
 )
+from humanpred_ros.evaluation.outputs import library_facts, machine_facts
 from humanpred_ros.evaluation.recognition.classifiers import EVALUATED, ClassifierConfig
 from humanpred_ros.evaluation.recognition.evaluation import EvaluationConfig, evaluate_classifier, n_tasks
 from humanpred_ros.evaluation.recognition.reference import (

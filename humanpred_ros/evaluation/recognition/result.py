@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from humanpred_ros.evaluation.evaluation_files import plain
+from humanpred_ros.evaluation.outputs import plain
 from humanpred_ros.evaluation.recognition.reference import ReferenceCurve
 from humanpred_ros.evaluation.recognition.scores import Calibration, CurveFigures, IntArray
 from humanpred_ros.evaluation.recognition.targets import recognition_targets

@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from humanpred_ros.evaluation.evaluation_files import library_facts, machine_facts
 from humanpred_ros.evaluation.options import Outputs, add_jobs, add_library, add_outputs, progress_lines, read_library
+from humanpred_ros.evaluation.outputs import library_facts, machine_facts
 from humanpred_ros.evaluation.recognition.classifiers import EVALUATED
 from humanpred_ros.evaluation.recognition.reference import advice_beside
 from humanpred_ros.evaluation.standing import StandingConfig

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from humanpred_ros.errors import LibraryFormatError, UsageError
-from humanpred_ros.evaluation.evaluation_files import plain
+from humanpred_ros.evaluation.outputs import plain
 from humanpred_ros.evaluation.parallel import map_processes
 from humanpred_ros.evaluation.recognition.classifiers import make_evaluated
 from humanpred_ros.evaluation.streams.runs import PERCENTS, VARIANTS, Outcome, StreamRuns

@@ -16,13 +16,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.evaluation_files import library_facts, machine_facts
 from humanpred_ros.evaluation.interference.world import (
     RunSettings,
     first_of_classes,
     group_of,
     training_library,
 )
+from humanpred_ros.evaluation.outputs import library_facts, machine_facts
 from humanpred_ros.evaluation.parallel import map_processes
 from humanpred_ros.evaluation.switching.reference import PublishedCosts
 from humanpred_ros.evaluation.switching.result import (

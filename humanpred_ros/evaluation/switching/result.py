@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from humanpred_ros.evaluation.evaluation_files import plain
+from humanpred_ros.evaluation.outputs import plain
 from humanpred_ros.evaluation.switching.measures import steps_earlier
 from humanpred_ros.evaluation.switching.reference import PublishedCosts
 from humanpred_ros.evaluation.switching.runs import Person

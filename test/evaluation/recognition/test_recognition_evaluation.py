@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from small_library import small_library
 
 from humanpred_ros.errors import ArrayError, LibraryFormatError, MotionError, UsageError
-from humanpred_ros.evaluation.evaluation_files import plain
+from humanpred_ros.evaluation.outputs import plain
 from humanpred_ros.evaluation.recognition import evaluation as recognition_evaluation
 from humanpred_ros.evaluation.recognition.evaluation import (
     EvaluationConfig,

@@ -11,7 +11,7 @@ import pytest
 from small_library import small_library
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.evaluation_files import (
+from humanpred_ros.evaluation.outputs import (
     check_writable,
     library_facts,
     machine_facts,
