@@ -78,7 +78,7 @@ def _demo(options: argparse.Namespace) -> int:
 
 
 def _train(options: argparse.Namespace) -> int:
-    from humanpred_ros.human.named import human_with
+    from humanpred_ros.human.model import human_with
     from humanpred_ros.motion.library_io import load_library
     from humanpred_ros.recognition.gmm_config import GmmConfig
     from humanpred_ros.recognition.model_file import save_model

@@ -15,7 +15,7 @@ from rich.console import Console
 from humanpred_ros import __version__
 from humanpred_ros.errors import LibraryFormatError, UsageError
 from humanpred_ros.evaluation.processes import NodeGroup, NodeProcess, ParameterValue, free_domain_id
-from humanpred_ros.human.named import human_with, name_of_human
+from humanpred_ros.human.model import human_with, name_of_human
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary

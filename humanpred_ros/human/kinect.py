@@ -1,16 +1,16 @@
-"""From the 15 points of an OpenNI skeleton to the 12 DoFs of a posture and back, without guessing what was not seen.
+"""Converts between the 15 points of an OpenNI skeleton and the 12 DoFs of P1's human.
 
-The construction is P1's (facts: iros2013, section 1, "Kinect -> 12 values"): pelvis below the torso point, yaw from the
-hips, lean from the neck, twist from the left shoulder, then the right arm from elbow and hand, seen from where the
-MODEL's right shoulder is after that torso. Three things follow from it: the forearm keeps the model's length (the
-tracker's is discarded), the upper arm takes the tracker's length (rArmTrans), and the points head, right_shoulder,
-left_elbow, left_hand, knees and feet do not enter.
+The construction is P1's (docs/papers.md, P1 human): pelvis below the torso point, yaw from the hips, lean from the
+neck, twist from the left shoulder, then the right arm from elbow and hand, starting at the MODEL's right shoulder. So
+the forearm keeps the model's length (the tracker's is discarded), the upper arm takes the tracker's length (rArmTrans),
+and the points head, right_shoulder, left_elbow, left_hand, knees and feet are not used.
 
-P1's formulas for the arm take the bones of the zero pose to lie exactly on the y axis. The model's lie up to 1 degree
-off it, so here the same constraints are solved on the model itself and points made from a posture give that posture
-back. On P1's libraries the two differ by about 0.015 rad, and by up to 0.11 rad in rShoulderY near a straight elbow.
+P1's formulas for the arm assume that the bones of the zero pose lie exactly on the y axis. The model's lie up to 1
+degree off it. Here the same constraints are solved on the model itself, so that points made from a posture give that
+posture back. On P1's libraries the two differ by about 0.015 rad, and by up to 0.11 rad in rShoulderY near a straight
+elbow.
 
-Not determined by the points, and reported as missing rather than invented:
+A DoF that the points do not determine is NaN and reported, never guessed:
 - rShoulderY when the elbow is straight (nothing shows how the upper arm is rolled);
 - rShoulderX and rShoulderY when the upper arm lies along the torso's x axis (they turn about the same line).
 Two branches give the same points; the one returned has rShoulderZ within 90 degrees and an elbow that bends forwards.
@@ -18,7 +18,7 @@ Two branches give the same points; the one returned has rShoulderZ within 90 deg
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -27,9 +27,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from humanpred_ros.errors import HumanModelError
 from humanpred_ros.geometry.checks import FloatArray, checked
-from humanpred_ros.geometry.rotations import frame_of, rotate_back, rotation, wrapped
-from humanpred_ros.human.kinect_result import Findings, KinectPosture, KinectPostures
 from humanpred_ros.human.model import HumanModel
+from humanpred_ros.human.rigid_fit import rotate_back, rotation
+from humanpred_ros.settings import Settings, setting
 
 #: Each skeleton point, in the order trackers deliver them, and the model's link whose origin it is.
 LINK_OF_POINT = MappingProxyType(
@@ -49,22 +49,121 @@ KINECT12_DOFS = (
 )  # fmt: skip
 
 
+class KinectConfig(Settings):
+    """What still counts as a person."""
+
+    bone_ratio: tuple[float, float] = setting(
+        (0.5, 1.6), "shortest and longest plausible bone, as a share of the model's", low=0.0
+    )
+    arm_trans_m: tuple[float, float] = setting(
+        (-0.1, 0.25), "plausible rArmTrans; P1's libraries hold -0.06 to 0.22 m without the marked outliers", unit="m"
+    )
+    straight_elbow_rad: float = setting(
+        0.05,
+        "an elbow straighter than this does not show the roll of the upper arm: a hand seen 2 cm off turns it by about "
+        "90 degrees here",
+        unit="rad",
+        low=0.0,
+    )
+    aligned_arm_rad: float = setting(
+        0.02, "an upper arm closer than this to the torso's x axis does not show rShoulderX", unit="rad", low=0.0
+    )
+
+
 @dataclass(frozen=True)
-class KinectConfig:
-    """What still counts as a person.
+class KinectPosture:
+    """A posture as far as the tracker's points determine it.
 
     Attributes:
-        bone_ratio: shortest and longest believable bone, as a share of the model's.
-        arm_trans_m: believable rArmTrans; P1's libraries hold -0.06 to 0.22 m without the marked outliers.
-        straight_elbow_rad: elbows straighter than this do not show the roll of the upper arm (a hand seen 2 cm off
-            turns it by about 90 degrees here).
-        aligned_arm_rad: upper arms closer than this to the torso's x axis do not show rShoulderX.
+        q: (12,) posture, NaN exactly where a DoF is in `missing` or `implausible`.
+        missing: DoF -> why it could not be determined (a lost point, or a DoF that it needs).
+        implausible: DoF -> why what was measured cannot be a person.
     """
 
-    bone_ratio: tuple[float, float] = (0.5, 1.6)
-    arm_trans_m: tuple[float, float] = (-0.1, 0.25)
-    straight_elbow_rad: float = 0.05
-    aligned_arm_rad: float = 0.02
+    q: FloatArray
+    missing: Mapping[str, str]
+    implausible: Mapping[str, str]
+
+    @property
+    def complete(self) -> bool:
+        """True if every DoF is determined."""
+        return not self.missing and not self.implausible
+
+
+class KinectPostures:
+    """The postures of T frames; index it, or iterate over it, for single frames.
+
+    Attributes:
+        q: (T, 12) postures, NaN where undetermined.
+    """
+
+    def __init__(self, frames: int, model: HumanModel) -> None:
+        self._model = model
+        self.q: FloatArray = np.full((frames, len(model.dof_names)), np.nan)
+        self._missing: list[dict[str, str]] = [{} for _ in range(frames)]
+        self._implausible: list[dict[str, str]] = [{} for _ in range(frames)]
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def __getitem__(self, frame: int) -> KinectPosture:
+        return KinectPosture(self.q[frame], self._missing[frame], self._implausible[frame])
+
+    @property
+    def complete(self) -> NDArray[np.bool_]:
+        """(T,) True where every DoF is determined."""
+        return np.asarray(np.isfinite(self.q).all(axis=1))
+
+    def column(self, dof: str) -> FloatArray:
+        """Return the values (T,) of one DoF."""
+        return self.q[:, self._model.dof_index[dof]]
+
+    def put(
+        self, values: Mapping[str, FloatArray], points: Mapping[str, FloatArray], after: Sequence[str] = ()
+    ) -> None:
+        """Store DoFs (T,) that follow from `points` (name -> (T, 3), NaN where lost) and from the DoFs `after`.
+
+        They count as missing where one of those is missing, and as implausible outside the model's limits. The first
+        reason stays: what a DoF needs is judged before it.
+        """
+        lost = {name: np.asarray(np.isnan(place).any(axis=1)) for name, place in points.items()}
+        for dof, value in values.items():
+            d = self._model.dof_index[dof]
+            known = [dof in self._missing[k] or dof in self._implausible[k] for k in range(len(self))]
+            self.q[:, d] = np.where(known, np.nan, value)
+            for name, where in lost.items():
+                self.lose(where, (dof,), f"the point {name} is lost")
+            for earlier in after:
+                self.lose(np.isnan(self.column(earlier)), (dof,), f"it needs {earlier}, which is not determined")
+            self.doubt(np.isnan(self.q[:, d]), (dof,), "points that should be apart coincide")
+            lower, upper = self._model.lower[d], self._model.upper[d]
+            with np.errstate(invalid="ignore"):
+                outside = (value < lower - 1e-9) | (value > upper + 1e-9)
+            self.doubt(outside, (dof,), f"{{:.3f}} is outside the limits {lower:.3f} to {upper:.3f}", value)
+
+    def lose(self, where: NDArray[np.bool_], dofs: Sequence[str], reason: str) -> None:
+        """Mark DoFs as missing in the frames `where` (T,), unless they are marked already."""
+        self._mark(self._missing, where, dofs, reason, None)
+
+    def doubt(
+        self, where: NDArray[np.bool_], dofs: Sequence[str], reason: str, value: FloatArray | None = None
+    ) -> None:
+        """Mark DoFs as implausible likewise; `{...}` in the reason is filled with the frame's `value` (T,)."""
+        self._mark(self._implausible, where, dofs, reason, value)
+
+    def _mark(
+        self,
+        marks: list[dict[str, str]],
+        where: NDArray[np.bool_],
+        dofs: Sequence[str],
+        reason: str,
+        value: FloatArray | None,
+    ) -> None:
+        for frame in np.flatnonzero(where):
+            for dof in dofs:
+                if dof not in self._missing[frame] and dof not in self._implausible[frame]:
+                    marks[frame][dof] = reason if value is None else reason.format(value[frame])
+                    self.q[frame, self._model.dof_index[dof]] = np.nan
 
 
 class KinectSkeleton:
@@ -78,9 +177,9 @@ class KinectSkeleton:
         HumanModelError: another set of DoFs, or links that are lacking.
     """
 
-    def __init__(self, model: HumanModel | None = None, config: KinectConfig = KinectConfig()) -> None:
+    def __init__(self, model: HumanModel | None = None, config: KinectConfig | None = None) -> None:
         self.model = model or HumanModel.kinect12()
-        self.config = config
+        self.config = config or KinectConfig()
         self.model.check_dofs(KINECT12_DOFS)
         lacking = sorted(set(LINK_OF_POINT.values()) - set(self.model.link_names))
         if lacking:
@@ -119,22 +218,22 @@ class KinectSkeleton:
         points = checked("points_m", points_m, ("T", len(LINK_OF_POINT), 3), finite=False)
         points = np.where(np.isfinite(points).all(axis=-1, keepdims=True), points, np.nan)
         seen = {name: points[:, i] for i, name in enumerate(LINK_OF_POINT)}
-        found = Findings(len(points), self.model)
+        found = KinectPostures(len(points), self.model)
         # NaN stands for lost all the way down, and zero lengths are reported as such: no warnings wanted.
         with np.errstate(invalid="ignore", divide="ignore"):
             pelvis = self._pelvis(seen, found)
             R_torso, torso = self._torso(seen, pelvis, found)
             self._right_arm(seen, R_torso, torso, found)
-        return found.result()
+        return found
 
-    def _pelvis(self, seen: Mapping[str, FloatArray], found: Findings) -> FloatArray:
+    def _pelvis(self, seen: Mapping[str, FloatArray], found: KinectPostures) -> FloatArray:
         """Find the pelvis; return its position (T, 3)."""
         pelvis = seen["torso"] - self._pelvis_below_m  # straight below, so that no yaw is needed
         place = {f"PelvisTrans{axis}": pelvis[:, i] for i, axis in enumerate("XYZ")}
-        found.put(place, points=_only(seen, "torso"))
+        found.put(place, _only(seen, "torso"))
         to_left = seen["left_hip"] - seen["right_hip"]
-        yaw = wrapped(np.arctan2(to_left[:, 1], to_left[:, 0]) - np.pi / 2)
-        found.put({"PelvisRotZ": yaw}, points=_only(seen, "left_hip", "right_hip"))
+        yaw = _wrapped(np.arctan2(to_left[:, 1], to_left[:, 0]) - np.pi / 2)
+        found.put({"PelvisRotZ": yaw}, _only(seen, "left_hip", "right_hip"))
         self._check_bone(found, "between the hips", to_left, self._hips_m, ("PelvisRotZ",))
         across = seen["left_shoulder"] - seen["neck"]
         found.doubt(
@@ -145,28 +244,28 @@ class KinectSkeleton:
         return pelvis
 
     def _torso(
-        self, seen: Mapping[str, FloatArray], pelvis: FloatArray, found: Findings
+        self, seen: Mapping[str, FloatArray], pelvis: FloatArray, found: KinectPostures
     ) -> tuple[FloatArray, FloatArray]:
         """Find the torso's angles; return its rotation (T, 3, 3) and origin (T, 3)."""
-        R_pelvis = rotation("z", found["PelvisRotZ"])
+        R_pelvis = rotation("z", found.column("PelvisRotZ"))
         torso = pelvis + R_pelvis @ self._torso_m
         n = rotate_back(R_pelvis, seen["neck"] - torso)
         lean = {
             "TorsoX": np.arctan2(-n[:, 1], n[:, 2]),
             "TorsoY": np.arctan2(n[:, 0], np.hypot(n[:, 1], n[:, 2])),
         }
-        found.put(lean, points=_only(seen, "neck"), after=("PelvisTransX", "PelvisRotZ"))
+        found.put(lean, _only(seen, "neck"), after=("PelvisTransX", "PelvisRotZ"))
         self._check_bone(found, "from torso to neck", n, self._neck_m, tuple(lean))
 
-        R_lean = R_pelvis @ rotation("x", found["TorsoX"]) @ rotation("y", found["TorsoY"])
+        R_lean = R_pelvis @ rotation("x", found.column("TorsoX")) @ rotation("y", found.column("TorsoY"))
         left = rotate_back(R_lean, seen["left_shoulder"] - torso)
         twist = {"TorsoZ": np.arctan2(-left[:, 0], left[:, 1])}
-        found.put(twist, points=_only(seen, "left_shoulder"), after=("TorsoX", "TorsoY"))
+        found.put(twist, _only(seen, "left_shoulder"), after=("TorsoX", "TorsoY"))
         self._check_bone(found, "from torso to left shoulder", left, self._left_shoulder_m, tuple(twist))
-        return R_lean @ rotation("z", found["TorsoZ"]), torso
+        return R_lean @ rotation("z", found.column("TorsoZ")), torso
 
     def _right_arm(
-        self, seen: Mapping[str, FloatArray], R_torso: FloatArray, torso: FloatArray, found: Findings
+        self, seen: Mapping[str, FloatArray], R_torso: FloatArray, torso: FloatArray, found: KinectPostures
     ) -> None:
         """Find the right arm's DoFs from the model's shoulder, the elbow and the direction to the hand."""
         config, (ux, uy, uz) = self.config, self._upper_arm_m
@@ -177,7 +276,7 @@ class KinectSkeleton:
         upper = np.stack([np.full_like(length, ux), -length, np.full_like(length, uz)], axis=1)
         bend, straight = self._elbow(upper, e, h)
         fore = rotation("z", bend) @ self._forearm_m
-        sX, sZ, sY = _shoulder_angles(frame_of(e, h) @ np.swapaxes(frame_of(upper, fore), 1, 2))
+        sX, sZ, sY = _shoulder_angles(_frame_of(e, h) @ np.swapaxes(_frame_of(upper, fore), 1, 2))
         unrolled = straight | np.isnan(sY)
         sX_alone, sZ_alone = _shoulder_angles_of_elbow(upper, e)
         arm = {
@@ -189,13 +288,11 @@ class KinectSkeleton:
         found.lose(straight, ("rShoulderY",), "the elbow is straight, which leaves the upper arm's roll open")
         aligned = np.hypot(e[:, 1], e[:, 2]) < config.aligned_arm_rad * np.linalg.norm(e, axis=1)
         found.lose(aligned, ("rShoulderX", "rShoulderY"), "the upper arm lies along the torso's x axis")
-        found.put(arm, points=_only(seen, "right_elbow"), after=("TorsoZ",))
-        found.put(hand, points=_only(seen, "right_elbow", "right_hand"), after=("TorsoZ",))
+        found.put(arm, _only(seen, "right_elbow"), after=("TorsoZ",))
+        found.put(hand, _only(seen, "right_elbow", "right_hand"), after=("TorsoZ",))
         low, high = config.arm_trans_m
         wrong = (arm["rArmTrans"] < low) | (arm["rArmTrans"] > high)
-        found.doubt(
-            wrong, (*arm, *hand), f"rArmTrans is {{:.3f}} m, believable are {low} to {high} m", arm["rArmTrans"]
-        )
+        found.doubt(wrong, (*arm, *hand), f"rArmTrans is {{:.3f}} m, plausible are {low} to {high} m", arm["rArmTrans"])
         self._check_bone(found, "from right elbow to hand", h, self._forearm_m, tuple(hand))
 
     def _elbow(self, upper: FloatArray, e: FloatArray, h: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -210,16 +307,27 @@ class KinectSkeleton:
         return np.arctan2(B, A) + opening, opening < self.config.straight_elbow_rad
 
     def _check_bone(
-        self, found: Findings, bone: str, measured: FloatArray, model: FloatArray, dofs: tuple[str, ...]
+        self, found: KinectPostures, bone: str, measured: FloatArray, model: FloatArray, dofs: tuple[str, ...]
     ) -> None:
         length = np.linalg.norm(measured, axis=1)
         low, high = (ratio * float(np.linalg.norm(model)) for ratio in self.config.bone_ratio)
-        reason = f"{{:.3f}} m {bone}, believable are {low:.3f} to {high:.3f} m"
+        reason = f"{{:.3f}} m {bone}, plausible are {low:.3f} to {high:.3f} m"
         found.doubt((length < low) | (length > high), dofs, reason, length)
 
 
 def _only(seen: Mapping[str, FloatArray], *names: str) -> dict[str, FloatArray]:
     return {name: seen[name] for name in names}
+
+
+def _wrapped(angle: FloatArray) -> FloatArray:
+    """Return the angles within [-pi, pi)."""
+    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _frame_of(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the orthonormal frames (T, 3, 3) with x along `first` and z normal to both; NaN if parallel."""
+    x, z = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (first, np.cross(first, second)))
+    return np.stack([x, np.cross(z, x), z], axis=-1)
 
 
 def _shoulder_angles(R: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -234,4 +342,4 @@ def _shoulder_angles_of_elbow(upper: FloatArray, e: FloatArray) -> tuple[FloatAr
     inward = -np.sqrt(np.maximum(e[:, 1] ** 2 + e[:, 2] ** 2 - upper[:, 2] ** 2, 0.0))
     sX = np.arctan2(e[:, 2], e[:, 1]) - np.arctan2(upper[:, 2], inward)
     sZ = np.arctan2(inward, e[:, 0]) - np.arctan2(upper[:, 1], upper[:, 0])
-    return wrapped(sX), wrapped(sZ)
+    return _wrapped(sX), _wrapped(sZ)

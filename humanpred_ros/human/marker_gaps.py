@@ -1,8 +1,8 @@
-"""Filling hidden markers, first from the segment's others, then over short gaps in time, and telling which were filled.
+"""Fills hidden markers, first from the segment's others, then over short gaps in time, and reports what was filled.
 
 A segment is rigid: its shape is measured on the frames that show all its markers (the median over them), and three seen
-markers place it. The two markers of the shoulder move with the torso's orientation, so one of them is enough. What
-remains hidden for no longer than a stated time is interpolated; longer gaps stay open.
+markers place it. The two markers of the shoulder move with the torso's orientation, so one of them is enough. Markers
+that are still hidden, for no longer than a stated time, are interpolated; longer gaps stay open.
 """
 
 from __future__ import annotations
@@ -15,28 +15,12 @@ from numpy.typing import NDArray
 
 from humanpred_ros.errors import MotionError
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.rigid_fit import groups_of, is_spread, mean_shape, misfit_m, place, seen_in
-from humanpred_ros.human.marker_set import MarkerSet
+from humanpred_ros.human.marker_set import MarkerConfig, MarkerSet
+from humanpred_ros.human.rigid_fit import groups_of, is_spread, mean_shape, misfit_m, place, seen_in
 
 #: A polynomial of this degree over this many seen frames on either side bridges a gap in time: smoother than a line
 #: where a hand accelerates, and not led astray by the noise of single frames.
 BRIDGE_DEGREE, BRIDGE_FRAMES = 3, 6
-
-
-@dataclass(frozen=True)
-class GapConfig:
-    """What is filled.
-
-    Attributes:
-        longest_gap_s: gaps up to this long are interpolated in time; 0.1 s bends a reach by about 5 mm.
-        misplaced_m: a marker this far from where its segment's others want it counts as hidden (a false detection);
-            skin moves markers by 0.01 to 0.02 m.
-        fit: take the markers of a seen segment from its shape placed on all of them, which averages their noise.
-    """
-
-    longest_gap_s: float = 0.1
-    misplaced_m: float = 0.03
-    fit: bool = True
 
 
 @dataclass(frozen=True)
@@ -83,7 +67,7 @@ def fill_markers(
     points_m: FloatArray,
     t_s: FloatArray,
     shapes: Mapping[str, FloatArray],
-    config: GapConfig = GapConfig(),
+    config: MarkerConfig | None = None,
 ) -> FilledMarkers:
     """Return markers (T, M, 3) with hidden ones filled as far as `config` allows.
 
@@ -97,6 +81,7 @@ def fill_markers(
     Raises:
         MotionError: exchanging two markers' labels would make a segment keep its shape: the labels are swapped.
     """
+    config = config or MarkerConfig()
     points = points_m.copy()
     hidden = ~seen_in(points)
     points[hidden] = np.nan
@@ -119,9 +104,9 @@ def _restore(
     shape: FloatArray,
     points: FloatArray,
     misplaced: NDArray[np.bool_],
-    config: GapConfig,
+    config: MarkerConfig,
 ) -> None:
-    """Put a rigid segment's hidden and misplaced markers where the others want them, in place."""
+    """Put a rigid segment's hidden and misplaced markers where the others place them; in place."""
     columns = markers.of_segment[segment]
     own = points[:, columns]
     seen = seen_in(own)
@@ -129,7 +114,7 @@ def _restore(
         if is_spread(shape[row]):
             off = misfit_m(shape[row], own[np.ix_(frames, row)]).max(axis=1) > config.misplaced_m / 2
             for t in frames[off]:
-                seen[t] = _believable(markers, segment, shape, own[t], row, int(t), config.misplaced_m)
+                seen[t] = _plausible(markers, segment, shape, own[t], row, int(t), config.misplaced_m)
     misplaced[:, columns] = seen_in(own) & ~seen
     own[~seen] = np.nan
     for row, frames in groups_of(seen):
@@ -141,7 +126,7 @@ def _restore(
     points[:, columns] = own
 
 
-def _believable(
+def _plausible(
     markers: MarkerSet,
     segment: str,
     shape: FloatArray,
@@ -150,9 +135,9 @@ def _believable(
     frame: int,
     limit_m: float,
 ) -> NDArray[np.bool_]:
-    """Return which of a segment's seen markers (K,) to believe in a frame where they do not keep the shape well.
+    """Return which of a segment's seen markers (K,) are right in a frame where they do not keep the shape well.
 
-    A marker is left out if the others fit without it and it lies farther than the limit from where they want it.
+    A marker is left out if the others fit without it and it lies farther than the limit from where they place it.
     """
     seen = np.flatnonzero(row)
     swap = swapped_pair(shape[row], own[row], limit_m)
@@ -175,7 +160,7 @@ def _believable(
     if best_misfit <= limit_m / 2:
         return best if best_off > limit_m else row
     within = misfit_m(shape[row], own[None, row]).max() <= limit_m
-    return row if within else np.zeros_like(row)  # no telling which: the segment is not seen
+    return row if within else np.zeros_like(row)  # which one is wrong is not clear: the segment is not seen
 
 
 def swapped_pair(shape: FloatArray, own: FloatArray, limit_m: float) -> tuple[int, int] | None:
@@ -205,16 +190,16 @@ def _torso_rotation(markers: MarkerSet, shapes: Mapping[str, FloatArray], points
 
 
 def _restore_shoulder(markers: MarkerSet, shapes: Mapping[str, FloatArray], points: FloatArray) -> None:
-    """Put hidden shoulder markers where the seen one and the torso's orientation want them, in place."""
+    """Put hidden shoulder markers where the seen one and the torso's orientation place them; in place."""
     columns = markers.of_segment["shoulder"]
     R = _torso_rotation(markers, shapes, points)
-    wanted = np.einsum("tij,kj->tki", R, shapes["shoulder"])
+    turned = np.einsum("tij,kj->tki", R, shapes["shoulder"])
     own = points[:, columns]
     seen = seen_in(own)
     some = (seen.sum(axis=1) == 1) & np.isfinite(R).all(axis=(1, 2))
     for t in np.flatnonzero(some):
-        middle = (own[t, seen[t]] - wanted[t, seen[t]]).mean(axis=0)
-        points[t, columns[~seen[t]]] = middle + wanted[t, ~seen[t]]
+        middle = (own[t, seen[t]] - turned[t, seen[t]]).mean(axis=0)
+        points[t, columns[~seen[t]]] = middle + turned[t, ~seen[t]]
 
 
 def _bridge(track: FloatArray, t_s: FloatArray, longest_gap_s: float) -> None:

@@ -1,9 +1,14 @@
-"""Giving names to unnamed marker positions, frame by frame by closest distance, because cameras see dots, not labels.
+"""Gives names to unnamed marker positions: cameras detect points, not labels.
 
-Each frame's detections are matched to where the labelled markers are expected: where they were, moved on by the last
-step of their segment; hidden ones move with their segment's others, and a segment out of sight with the one it hangs
-on. The match minimises the sum of squared distances, which a common motion of all markers cannot mislead. Then every
-segment must have its shape: one that has not is searched by its shape near by, and hidden (NaN) if not found.
+The first frame is labelled by shape: a segment's markers keep their distances, so the detections with just these
+distances are its markers, wherever the person stands and in whatever posture. Waist and torso are distinguished from
+their mirror images by being upright.
+
+The frames after it are labelled by closest distance (P2 IV-B). Each frame's detections are matched to where the
+markers are expected: at their last place, moved by the last step of their segment; hidden ones move with the other
+markers of their segment, and a hidden segment with its parent. The match minimises the sum of squared distances, so
+that a common motion of all markers does not mislead it. Then every segment must have its shape: one that has not is
+searched by its shape nearby, and hidden (NaN) if it is not found.
 """
 
 from __future__ import annotations
@@ -17,31 +22,179 @@ from scipy.optimize import linear_sum_assignment
 
 from humanpred_ros.errors import MotionError
 from humanpred_ros.geometry.checks import FloatArray, checked
-from humanpred_ros.geometry.rigid_fit import is_spread, misfit_m, pairwise_m, place, seen_in
-from humanpred_ros.human.marker_set import MarkerSet
-from humanpred_ros.human.marker_shapes import UPRIGHT, match_shape, nominal_shapes
+from humanpred_ros.human.marker_set import MarkerConfig, MarkerSet
+from humanpred_ros.human.rigid_fit import is_spread, misfit_m, pairwise_m, place, seen_in
+
+#: Segments that are upright whenever a person stands or sits, and how far (m) a shoulder is from the torso's centre.
+UPRIGHT = ("waist", "torso")
+SHOULDER_REACH_M = 0.45
 
 
 @dataclass(frozen=True)
-class LabelConfig:
-    """What still counts as the same marker.
+class ShapeMatch:
+    """Which detections are a segment's markers.
 
     Attributes:
-        farthest_m: greatest distance of a detection from where its marker is expected: a hand that accelerates by
-            100 m/s² is 0.01 m off after 0.01 s, a marker next to it 0.04 m away.
-        search_m_s: how fast this distance grows for a segment that is out of sight.
-        search_m: the most it grows to, and how far all markers of a segment together may be.
-        misfit_m: how far markers of a segment may be from its shape: noise and skin.
+        detection: (K,) number of each marker's detection, -1 where there is none.
+        off_m: greatest distance of one of them from the shape, or from where it is expected.
     """
 
-    farthest_m: float = 0.04
-    search_m_s: float = 2.0
-    search_m: float = 0.25
-    misfit_m: float = 0.01
+    detection: NDArray[np.int64]
+    off_m: float
+
+    @property
+    def count(self) -> int:
+        """How many of the markers were found."""
+        return int((self.detection >= 0).sum())
+
+
+def match_shape(
+    shape_m: FloatArray,
+    detections_m: FloatArray,
+    limit_m: float,
+    upright: bool = False,
+    expected_m: FloatArray | None = None,
+    reach_m: float = np.inf,
+    least: int = 3,
+) -> ShapeMatch | None:
+    """Return the detections (P, 3) that have the shape (K, 3), or None if too few have it.
+
+    The result has as many markers as possible, and of such results the best fit, or the one nearest to what is
+    expected. It is a tree search: the next marker is tried on detections whose distances to those already named are
+    right to twice the limit.
+
+    Args:
+        shape_m: the segment.
+        detections_m: finite positions.
+        limit_m: greatest misfit.
+        upright: the shape's z axis must not point downwards.
+        expected_m: (K, 3) where the markers are expected, if that is known.
+        reach_m: greatest distance of a detection from where its marker is expected.
+        least: how many of the markers must be found, three or more.
+    """
+    K = len(shape_m)
+    wanted = np.linalg.norm(shape_m[:, None] - shape_m[None], axis=2)
+    apart = np.linalg.norm(detections_m[:, None] - detections_m[None], axis=2)
+    within = np.ones((K, len(detections_m)), dtype=bool)
+    if expected_m is not None:
+        within = np.linalg.norm(expected_m[:, None] - detections_m[None], axis=2) <= reach_m
+    best: ShapeMatch | None = None
+
+    def extend(named: list[int]) -> None:
+        nonlocal best
+        k, found = len(named), sum(d >= 0 for d in named)
+        if found + K - k < max(least, 0 if best is None else best.count):
+            return
+        if k == K:
+            match = _judged(shape_m, detections_m, np.array(named), limit_m, upright, expected_m)
+            best = max(best, match, key=_rank)
+            return
+        fits = within[k].copy()
+        for other, taken in enumerate(named):
+            if taken >= 0:
+                fits &= np.abs(apart[taken] - wanted[k, other]) <= 2 * limit_m
+                fits[taken] = False
+        for d in np.flatnonzero(fits).tolist():
+            extend([*named, d])
+        extend([*named, -1])
+
+    extend([])
+    return best
+
+
+def find_start(
+    markers: MarkerSet,
+    detections_m: ArrayLike,
+    shapes: Mapping[str, FloatArray] | None = None,
+    limit_m: float = 0.015,
+) -> FloatArray:
+    """Return the labels (M, 3), NaN where hidden, of detections (P, 3) in any order, of a person in any posture.
+
+    Args:
+        markers: the labels to give.
+        detections_m: one frame, in a frame with z up; positions that are not finite are dropped.
+        shapes: the segments' shapes on this person (`marker_gaps.measure_shapes` of a labelled trial); the marker set's
+            if left out, which fits only markers put within the limit of where the set has them.
+        limit_m: how far a marker may be from its place in the shape.
+
+    Raises:
+        ArrayError: another shape.
+        MotionError: segments of which fewer than three markers (one of the shoulder's) are recognised.
+    """
+    seen = checked("detections_m", detections_m, ("P", 3), finite=False)
+    seen = seen[seen_in(seen)]
+    shapes = {**markers.shapes, **(shapes or {})}
+    labelled = np.full((len(markers.names), 3), np.nan)
+    free = np.ones(len(seen), dtype=bool)
+    unfound = [segment for segment in markers.of_segment if segment != "shoulder"]
+    torso: tuple[FloatArray, FloatArray] | None = None
+    while unfound:
+        # The surest segment first: its detections are then out of the way of the others.
+        matches = {s: match_shape(shapes[s], seen[free], limit_m, s in UPRIGHT) for s in unfound}
+        sure = max(unfound, key=lambda s: _rank(matches[s]))
+        match = matches[sure]
+        if match is None:
+            break
+        own, numbers = markers.of_segment[sure], np.flatnonzero(free)[match.detection[match.detection >= 0]]
+        labelled[own[match.detection >= 0]] = seen[numbers]
+        free[numbers] = False
+        unfound.remove(sure)
+        if sure == "torso":
+            R, p = place(shapes[sure][match.detection >= 0], seen[None, numbers])
+            torso = R[0], p[0] + R[0] @ shapes[sure].mean(axis=0)
+    if torso is not None:
+        own = markers.of_segment["shoulder"]
+        labelled[own] = _shoulder(shapes["shoulder"], seen[free], *torso, limit_m)
+    if not np.isfinite(labelled[markers.of_segment["shoulder"]]).any():
+        unfound.append("shoulder")
+    if unfound:
+        said = "; ".join(f"{segment} ({markers.labels(segment)})" for segment in unfound)
+        raise MotionError(
+            f"marker labels: wanted detections in which every segment can be recognised by its shape, got "
+            f"{len(seen)} for {len(markers.names)} markers and too few for: {said}; start with a frame that shows "
+            "them, or measure the shapes on a labelled trial of this person"
+        )
+    return labelled
+
+
+def _shoulder(shape: FloatArray, seen: FloatArray, R: FloatArray, centre: FloatArray, limit_m: float) -> FloatArray:
+    """Return the two shoulder markers (2, 3): the pair that is apart as the torso's orientation wants it."""
+    apart = R @ (shape[0] - shape[1])
+    off = np.linalg.norm(seen[:, None] - seen[None] - apart, axis=2)
+    off[np.linalg.norm(seen - centre, axis=1) > SHOULDER_REACH_M] = np.inf
+    pair = np.full((2, 3), np.nan)
+    if off.size and off.min() <= 2 * limit_m:
+        a, b = np.unravel_index(np.argmin(off), off.shape)
+        pair[0], pair[1] = seen[a], seen[b]
+    return pair
+
+
+def _judged(
+    shape: FloatArray,
+    detections: FloatArray,
+    named: NDArray[np.int64],
+    limit_m: float,
+    upright: bool,
+    expected: FloatArray | None,
+) -> ShapeMatch | None:
+    here = named >= 0
+    if not is_spread(shape[here]):
+        return None
+    points = detections[None, named[here]]
+    off = float(misfit_m(shape[here], points).max())
+    if off > limit_m or (upright and place(shape[here], points)[0][0, 2, 2] < 0):
+        return None
+    if expected is not None:
+        off = float(np.linalg.norm(points[0] - expected[here], axis=1).max())
+    return ShapeMatch(named, off)
+
+
+def _rank(match: ShapeMatch | None) -> tuple[int, float]:
+    return (0, 0.0) if match is None else (match.count, -match.off_m)
 
 
 class MarkerLabeller:
-    """Labels a recording frame by frame; holds where the markers were last.
+    """Labels a recording frame by frame; keeps the last places of the markers.
 
     Args:
         markers: the labels to give.
@@ -61,12 +214,12 @@ class MarkerLabeller:
         start_m: ArrayLike,
         t_s: float,
         shapes: Mapping[str, FloatArray] | None = None,
-        config: LabelConfig = LabelConfig(),
+        config: MarkerConfig | None = None,
     ) -> None:
         self.markers = markers
-        self.config = config
+        self.config = config or MarkerConfig()
         start = checked("start_m", start_m, (len(markers.names), 3), finite=False)
-        self._shapes = {**nominal_shapes(markers), **(shapes or {})}
+        self._shapes = {**markers.shapes, **(shapes or {})}
         self._places = self._completed(start)
         self._learn = shapes is None
         if shapes is None:
@@ -90,9 +243,6 @@ class MarkerLabeller:
         if t_s <= self._t_s:
             raise MotionError(f"marker labels: wanted rising stamps, got {t_s} s after {self._t_s} s")
         self._t_s = t_s
-        return self._label(seen)
-
-    def _label(self, seen: FloatArray) -> FloatArray:
         expected = self._places + self._step
         number = _match(expected, seen, self.config.farthest_m)
         labelled = np.where(number[:, None] >= 0, seen[number] if len(seen) else np.nan, np.nan)
@@ -103,7 +253,7 @@ class MarkerLabeller:
         parent = self.markers.of_segment["waist"]
         for segment, own in self.markers.of_segment.items():
             here = seen_in(labelled[own])
-            if not here.any():  # out of sight: where it would be if it moved with the segment it hangs on
+            if not here.any():  # hidden: where it would be if it moved with its parent
                 expected[own] = _carried(before[own], before[parent], self._places[parent])
             if len(own) > 2 and not here.all():
                 self._search(segment, seen, number, labelled, expected[own])
@@ -132,7 +282,7 @@ class MarkerLabeller:
         labelled: FloatArray,
         expected: FloatArray,
     ) -> None:
-        """Look for a segment by its shape among the detections near by that no other marker has; in place.
+        """Look for a segment by its shape among the detections nearby that no other marker has; in place.
 
         Also where three markers have been found: a wrong three may fit by chance, the right four fit better.
         """
@@ -143,7 +293,7 @@ class MarkerLabeller:
         candidates, count = np.flatnonzero(near), int((number[own] >= 0).sum())
         if len(candidates) <= count:
             return
-        # All markers in their shape are sure enough to be believed anywhere; three may be false detections.
+        # All markers in their shape are accepted anywhere; three of them may be false detections.
         reach_m = min(self.config.farthest_m + self.config.search_m_s * hidden_s, search_m)
         shape, upright, limit_m = self._shapes[segment], segment in UPRIGHT, self.config.misfit_m
         match = match_shape(shape, seen[candidates], limit_m, upright, expected, search_m, len(own))
@@ -204,7 +354,7 @@ def label_markers(
     t_s: ArrayLike,
     start_m: ArrayLike,
     shapes: Mapping[str, FloatArray] | None = None,
-    config: LabelConfig = LabelConfig(),
+    config: MarkerConfig | None = None,
 ) -> FloatArray:
     """Return labelled markers (T, M, 3), NaN where hidden, of T frames of detections (P, 3) in any order.
 
@@ -229,7 +379,7 @@ def label_markers(
 def _match(expected: FloatArray, seen: FloatArray, farthest_m: float) -> NDArray[np.int64]:
     """Return the number of the detection (M,) of each expected marker, -1 if none is near enough."""
     off = np.linalg.norm(expected[:, None] - seen[None], axis=2)
-    # Beyond reach one detection is as bad as another and must not pull the others away.
+    # Detections beyond the limit all cost the same, so that they do not pull the other matches away.
     rows, columns = linear_sum_assignment(np.minimum(off, farthest_m + 1e-9) ** 2)
     number = np.full(len(expected), -1, dtype=np.int64)
     near = off[rows, columns] <= farthest_m

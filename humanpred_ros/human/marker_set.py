@@ -1,12 +1,13 @@
-"""Which markers a person wears for the 23-DoF human, because joint centres are defined by where markers are put.
+"""The markers a person wears for the 23-DoF human: places of markers define joint centres.
 
 Anatomical markers come in pairs whose middle is a joint centre, as in P2 IV-B and the ISB's recommendations: xiphoid
 process and eighth thoracic vertebra (torso), front and back of the shoulder, both epicondyles (elbow), both styloid
-processes (wrist). The others keep a segment's position when one of a pair is hidden. The local positions are those of
-an average person; postures do not depend on them (see `marker_frames`), synthetic markers and the first labels do.
-The plates on arm and hand are put so that no exchange of labels leaves a segment's shape as it is: the next best
-labelling of four markers is 0.021 m off, of three 0.007 m; and so that three of them tell well where the fourth is. The
-waist is its own mirror image, which standing upright resolves.
+processes (wrist). The others keep a segment's position when one of a pair is hidden.
+
+The local positions are those of an average person. Postures do not depend on them (see `segment_angles`); synthetic
+markers and the first labels do. The plates on arm and hand are placed so that no exchange of two labels keeps a
+segment's shape (the next best labelling of four markers is 0.021 m off, of three 0.007 m), and so that three markers
+determine the fourth well. The waist is its own mirror image; that it is upright resolves this.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from humanpred_ros.errors import HumanModelError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.chain_points import ChainPoints
 from humanpred_ros.human.model import HumanModel
+from humanpred_ros.settings import Settings, setting
 
 #: The segments, from the root outwards, and the link of the model each moves with.
 LINK_OF_SEGMENT = MappingProxyType(
@@ -31,6 +33,37 @@ LINK_OF_SEGMENT = MappingProxyType(
         "upper_arm": "right_elbow", "forearm": "right_wrist", "hand": "right_hand",
     }
 )  # fmt: skip
+
+
+class MarkerConfig(Settings):
+    """How markers are labelled and hidden ones filled."""
+
+    longest_gap_s: float = setting(
+        0.1, "gaps up to this long are interpolated in time; 0.1 s bends a reach by about 5 mm", unit="s", low=0.0
+    )
+    misplaced_m: float = setting(
+        0.03,
+        "a marker this far from the place that its segment's others give counts as hidden (a false detection); skin "
+        "moves markers by 0.01 to 0.02 m",
+        unit="m",
+        low=0.0,
+    )
+    fit: bool = setting(
+        True, "take the markers of a seen segment from its shape placed on all of them, which averages their noise"
+    )
+    upright_pelvis: bool = setting(False, "take PelvisRotX and PelvisRotY as 0, as P2's recordings do")
+    farthest_m: float = setting(
+        0.04,
+        "greatest distance of a detection from where its marker is expected: a hand that accelerates by 100 m/s² is "
+        "0.01 m off after 0.01 s, a marker next to it 0.04 m away",
+        unit="m",
+        low=0.0,
+    )
+    search_m_s: float = setting(2.0, "how fast this distance grows for a hidden segment", unit="m/s", low=0.0)
+    search_m: float = setting(0.25, "the most it grows to, for all markers of a segment together", unit="m", low=0.0)
+    misfit_m: float = setting(
+        0.01, "how far labelled markers of a segment may be from its shape: noise and skin", unit="m", low=0.0
+    )
 
 
 @dataclass(frozen=True)
@@ -125,6 +158,15 @@ class MarkerSet:
         """(M, 3) the markers in their segments' links."""
         return np.array([marker.local_m for marker in self.markers], dtype=np.float64)
 
+    @property
+    def shapes(self) -> dict[str, FloatArray]:
+        """Each segment's shape (K, 3), its markers in its link."""
+        return {segment: self.local_m[own] for segment, own in self.of_segment.items()}
+
+    def labels(self, segment: str) -> str:
+        """Return the labels of a segment's markers, for messages."""
+        return ", ".join(self.names[i] for i in self.of_segment[segment])
+
     def places(self, model: HumanModel, q: ArrayLike) -> FloatArray:
         """Return where the markers are (..., M, 3) for postures (..., 23) of the 23-DoF human.
 
@@ -135,7 +177,7 @@ class MarkerSet:
         return np.asarray(ChainPoints(model, links, self.local_m).positions(np.asarray(q, dtype=np.float64)))
 
 
-#: The markers that define each segment's frame and joint centre (`marker_frames`).
+#: The markers that define each segment's frame and joint centre (`segment_angles`).
 ANATOMICAL = MappingProxyType(
     {
         "waist": ("LASI", "RASI", "LPSI", "RPSI"),

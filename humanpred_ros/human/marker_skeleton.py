@@ -1,8 +1,8 @@
-"""From labelled markers to the 23 DoFs of a posture and back: what makes motion capture usable for P2.
+"""Converts between labelled markers and the 23 DoFs of P2's human.
 
-Hidden markers are filled (`marker_gaps`), joint centres and frames follow from anatomical markers (`marker_frames`),
-and the angles from closed forms (`joint_angles`). What the markers do not determine is NaN in the postures and named in
-the result, never guessed; labels that cannot be right are an error.
+Hidden markers are filled (`marker_gaps`); joint centres, frames and angles follow from anatomical markers
+(`segment_angles`). What the markers do not determine is NaN in the postures and named in the result, never guessed;
+labels that cannot be right are an error.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from humanpred_ros.errors import HumanModelError, MotionError
 from humanpred_ros.geometry.checks import FloatArray, checked
-from humanpred_ros.geometry.rigid_fit import pairwise_m, seen_in
-from humanpred_ros.human.marker_frames import SegmentFrames, postures_of, segment_frames
-from humanpred_ros.human.marker_gaps import FilledMarkers, GapConfig, fill_markers, measure_shapes, swapped_pair
-from humanpred_ros.human.marker_set import ANATOMICAL, LINK_OF_SEGMENT, MarkerSet
+from humanpred_ros.human.marker_gaps import FilledMarkers, fill_markers, measure_shapes, swapped_pair
+from humanpred_ros.human.marker_set import ANATOMICAL, LINK_OF_SEGMENT, MarkerConfig, MarkerSet
 from humanpred_ros.human.model import HumanModel
+from humanpred_ros.human.rigid_fit import pairwise_m, seen_in
+from humanpred_ros.human.segment_angles import SegmentFrames, postures_of, segment_frames
 
-#: The DoFs of P2's human, in the order of its recordings' columns (facts: icra2015, 2.2).
+#: The DoFs of P2's human, in the order of its recordings' columns (docs/papers.md, P2 human).
 MOCAP23_DOFS = (
     "PelvisTransX", "PelvisTransY", "PelvisTransZ", "PelvisRotX", "PelvisRotY", "PelvisRotZ",
     "TorsoX", "TorsoZ", "TorsoY", "rShoulderTransX", "rShoulderTransY", "rShoulderTransZ",
@@ -29,9 +29,9 @@ MOCAP23_DOFS = (
     "rForeArmTrans", "rWristZ", "rWristX", "rWristY",
 )  # fmt: skip
 #: Distances between a segment's markers, as a share of the marker set's, outside which the labels cannot be right.
-BELIEVABLE_RATIO = (0.4, 2.5)
+PLAUSIBLE_RATIO = (0.4, 2.5)
 #: How far (m) a person's markers may sit from the marker set's places before an exchange of two labels is suspected.
-BELIEVABLE_PLACE_M = 0.04
+PLAUSIBLE_PLACE_M = 0.04
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,13 @@ class MarkerPostures:
         q: (T, 23) postures, angles unwrapped, NaN exactly where the markers do not determine a DoF.
         markers: the markers after filling, with what was done to each.
         lost: (T, 6) segments (in the order of `LINK_OF_SEGMENT`) that were not seen and could not be filled.
-        labels: the markers of each segment, for messages.
+        worn: the marker set.
     """
 
     q: FloatArray
     markers: FilledMarkers
     lost: NDArray[np.bool_]
-    labels: Mapping[str, tuple[str, ...]]
+    worn: MarkerSet
 
     @property
     def complete(self) -> NDArray[np.bool_]:
@@ -68,13 +68,12 @@ class MarkerPostures:
             if lost.any():
                 frames = np.flatnonzero(lost)
                 said.append(
-                    f"{segment} ({', '.join(self.labels[segment])}) in {len(frames)} frames from {frames[0]} to "
-                    f"{frames[-1]}"
+                    f"{segment} ({self.worn.labels(segment)}) in {len(frames)} frames from {frames[0]} to {frames[-1]}"
                 )
         where = "; ".join(said) or f"joint centres that coincide in frame {int(np.argmin(self.complete))}"
         raise MotionError(
             f"{name}: wanted markers that determine all 23 DoFs in all {len(self.q)} frames, lost: {where}; cut the "
-            "recording there or allow longer gaps (GapConfig.longest_gap_s)"
+            "recording there or allow longer gaps (MarkerConfig.longest_gap_s)"
         )
 
 
@@ -85,7 +84,6 @@ class MarkerSkeleton:
         model: the 23-DoF human; P2's if left out.
         markers: what the person wears; `UPPER_BODY` if left out.
         config: what is filled.
-        upright_pelvis: take PelvisRotX and PelvisRotY as 0, as P2's recordings do.
         shapes: each segment's shape (see `calibrated`); measured anew on every recording if left out.
 
     Raises:
@@ -96,14 +94,12 @@ class MarkerSkeleton:
         self,
         model: HumanModel | None = None,
         markers: MarkerSet | None = None,
-        config: GapConfig | None = None,
-        upright_pelvis: bool = False,
+        config: MarkerConfig | None = None,
         shapes: Mapping[str, FloatArray] | None = None,
     ) -> None:
         self.model = model or HumanModel.mocap23()
         self.markers = markers or MarkerSet()
-        self.config = config or GapConfig()
-        self.upright_pelvis = upright_pelvis
+        self.config = config or MarkerConfig()
         self.shapes = shapes
         self.model.check_dofs(MOCAP23_DOFS)
         lacking = sorted(set(LINK_OF_SEGMENT.values()) - set(self.model.link_names))
@@ -128,9 +124,9 @@ class MarkerSkeleton:
             if segment not in shapes:
                 raise MotionError(
                     f"marker calibration: wanted one frame with all markers of the {segment} "
-                    f"({', '.join(self._labels()[segment])}), got none; record a trial in which they are seen"
+                    f"({self.markers.labels(segment)}), got none; record a trial in which they are seen"
                 )
-        return MarkerSkeleton(self.model, self.markers, self.config, self.upright_pelvis, shapes)
+        return MarkerSkeleton(self.model, self.markers, self.config, shapes)
 
     def postures(self, points_m: ArrayLike, t_s: ArrayLike) -> MarkerPostures:
         """Return the postures of labelled markers (T, M, 3), in metres and the tracker's frame, z up.
@@ -160,24 +156,21 @@ class MarkerSkeleton:
                 seen = seen_in(points[:, columns]).sum(axis=1)
                 raise MotionError(
                     f"markers: no frame determines the {segment}: wanted at least 3 of {len(columns)} markers "
-                    f"({', '.join(self._labels()[segment])}), 1 of 2 for the shoulder, got at most {seen.max()} in "
+                    f"({self.markers.labels(segment)}), 1 of 2 for the shoulder, got at most {seen.max()} in "
                     f"{len(points)} frames; look for wrong labels, or calibrate on a trial that shows all of them"
                 )
         frames = segment_frames(self.markers, filled.points_m)
         _check_sides(frames)
-        return MarkerPostures(postures_of(frames, self.model, self.upright_pelvis), filled, lost, self._labels())
-
-    def _labels(self) -> dict[str, tuple[str, ...]]:
-        return {s: tuple(self.markers.names[i] for i in own) for s, own in self.markers.of_segment.items()}
+        return MarkerPostures(postures_of(frames, self.model, self.config.upright_pelvis), filled, lost, self.markers)
 
     def _measured(self, points: FloatArray) -> dict[str, FloatArray]:
         """Measure the shapes and compare them with the marker set's (MotionError if the labels cannot be right)."""
         shapes = measure_shapes(self.markers, points)
         for segment, shape in shapes.items():
-            labels = self._labels()[segment]
+            labels = [self.markers.names[i] for i in self.markers.of_segment[segment]]
             wanted = self.markers.local_m[self.markers.of_segment[segment]]
             scaled = wanted * (_size_m(shape) / _size_m(wanted))
-            swap: tuple[int, ...] | None = swapped_pair(scaled, shape, BELIEVABLE_PLACE_M)
+            swap: tuple[int, ...] | None = swapped_pair(scaled, shape, PLAUSIBLE_PLACE_M)
             if segment == "shoulder" and float((shape[0] - shape[1]) @ (wanted[0] - wanted[1])) < 0:
                 swap = (0, 1)
             if swap is not None:
@@ -186,7 +179,7 @@ class MarkerSkeleton:
                     f"{labels[swap[0]]} and {labels[swap[1]]} exchanged; the labels are swapped: correct them"
                 )
             ratio = (pairwise_m(shape[None]) / pairwise_m(wanted[None]))[0]
-            wrong = (ratio < BELIEVABLE_RATIO[0]) | (ratio > BELIEVABLE_RATIO[1])
+            wrong = (ratio < PLAUSIBLE_RATIO[0]) | (ratio > PLAUSIBLE_RATIO[1])
             if wrong.any():
                 k = int(np.argmax(wrong))
                 a, b = (labels[i[k]] for i in np.triu_indices(len(labels), 1))

@@ -1,9 +1,8 @@
-"""A human as a kinematic chain read from a URDF, so that every stage uses one definition of posture and body.
+"""A human as a kinematic chain with a body, read from a URDF: the one definition of posture that every stage uses.
 
 pinocchio reads the tree; the transforms are then computed by a compiled kernel for all postures of a motion at once,
-which agrees with pinocchio to rounding (tested).
-
-Points and link poses are in the frame of the URDF's root link, the tracker's frame.
+which agrees with pinocchio to rounding (tested). Points and link poses are in the frame of the URDF's root link, the
+tracker's frame.
 """
 
 from __future__ import annotations
@@ -12,26 +11,35 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from humanpred_ros.errors import HumanModelError
+from humanpred_ros.errors import HumanModelError, UsageError
 from humanpred_ros.geometry import posture_kernels as kernels
-from humanpred_ros.geometry.checks import FloatArray, checked, frozen
+from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.human.bodies import Body, parse_urdf, read_bodies, signature_of
-from humanpred_ros.human.surface import SurfacePoints, sample_bodies
 from humanpred_ros.resources import share_file
 
-#: P2's names of the joint centres of trunk and right arm (facts: icra2015, 2.4), and the links whose origins they are.
+#: P2's names of the joint centres of trunk and right arm (docs/papers.md, P2 human): each is the origin of a link.
 JOINT_CENTRES = MappingProxyType(
     {
         "Pelvis": "pelvis", "TorsoX": "torso", "rShoulderX": "right_shoulder", "rElbowZ": "right_elbow",
         "rWristX": "right_wrist", "rPalm": "right_palm",
     }
 )  # fmt: skip
+
+
+#: Names users know the humans by, and whose they are; the default first.
+HUMANS = {
+    "kinect12": "P1: 12 DoFs, as a Kinect tracker sees a person",
+    "mocap23": "P2: 23 DoFs, as motion capture sees trunk and right arm",
+}
+
+
+T = TypeVar("T", bound=np.generic)
 
 
 class Joints(NamedTuple):
@@ -42,6 +50,18 @@ class Joints(NamedTuple):
     linear: FloatArray
     K: FloatArray
     KK: FloatArray
+
+
+class SurfacePoints(NamedTuple):
+    """Points on the surface of a model's bodies, fixed to its links; read-only.
+
+    Attributes:
+        link: (P,) index of each point's link in the model's `link_names`.
+        local_m: (P, 3) the points in their links' frames.
+    """
+
+    link: NDArray[np.int64]
+    local_m: FloatArray
 
 
 class HumanModel:
@@ -102,12 +122,12 @@ class HumanModel:
 
     @classmethod
     def kinect12(cls) -> HumanModel:
-        """Return P1's 12-DoF human, as a Kinect tracker sees a person (facts: iros2013, section 2)."""
+        """Return P1's 12-DoF human, as a Kinect tracker sees a person (docs/papers.md, P1 human)."""
         return cls.from_urdf(share_file("urdf", "human_kinect12.urdf"))
 
     @classmethod
     def mocap23(cls) -> HumanModel:
-        """Return P2's 23-DoF human, as motion capture sees trunk and right arm (facts: icra2015, section 2)."""
+        """Return P2's 23-DoF human, as motion capture sees trunk and right arm (docs/papers.md, P2 human)."""
         return cls.from_urdf(share_file("urdf", "human_mocap23.urdf"))
 
     @classmethod
@@ -251,5 +271,62 @@ def _axes(joint: pin.JointModel) -> tuple[FloatArray, FloatArray, FloatArray]:
     return np.array(data.S, dtype=np.float64).ravel()[:3], K, K @ K
 
 
-def _readonly(array: NDArray[np.float64]) -> FloatArray:
-    return np.asarray(frozen(array), dtype=np.float64)
+def _readonly(array: NDArray[T]) -> NDArray[T]:
+    array = np.array(array)
+    array.setflags(write=False)
+    return array
+
+
+def sample_bodies(bodies: Sequence[Body], link_names: Sequence[str], spacing_m: float) -> SurfacePoints:
+    """Return points so that no surface point of any body is farther than `spacing_m` from one of them.
+
+    Neighbours are at most `spacing_m` apart on the surface, and each body is covered whole, also where it lies inside
+    another: that keeps the points independent of the posture, and such points fall in voxels that are occupied anyway.
+
+    Args:
+        bodies: the solids, at least one.
+        link_names: the model's links, to number them.
+        spacing_m: a length in metres.
+
+    Raises:
+        HumanModelError: no bodies, or a spacing that is not a positive length.
+    """
+    if not (np.isfinite(spacing_m) and spacing_m > 0):
+        raise HumanModelError(f"surface points: wanted a positive spacing in metres, got {spacing_m}")
+    if not bodies:
+        raise HumanModelError("surface points: wanted a model with at least one <collision>, got none; add bodies")
+    links, points = [], []
+    for body in bodies:
+        local = body.shape.sample(spacing_m) @ body.T_link_body[:3, :3].T + body.T_link_body[:3, 3]
+        points.append(local)
+        links.append(np.full(len(local), link_names.index(body.link)))
+    return SurfacePoints(_readonly(np.concatenate(links)), _readonly(np.concatenate(points)))
+
+
+def human_named(name: str) -> HumanModel:
+    """Return the human of that name.
+
+    Raises:
+        UsageError: another name.
+    """
+    if name not in HUMANS:
+        raise UsageError(f"human: wanted one of {', '.join(HUMANS)}, got {name!r}")
+    return HumanModel.mocap23() if name == "mocap23" else HumanModel.kinect12()
+
+
+def human_with(dof_names: Sequence[str]) -> HumanModel:
+    """Return the human that has these DoFs in this order; errors as `name_of_human`."""
+    return human_named(name_of_human(dof_names))
+
+
+def name_of_human(dof_names: Sequence[str]) -> str:
+    """Return the name of the human that has these DoFs in this order.
+
+    Raises:
+        HumanModelError: none of them has; the message is about the one that comes nearest.
+    """
+    humans = {name: human_named(name) for name in HUMANS}
+    shared = {name: len(set(human.dof_names) & set(dof_names)) for name, human in humans.items()}
+    nearest = max(humans, key=lambda name: shared[name] / len(humans[name].dof_names))
+    humans[nearest].check_dofs(dof_names)
+    return nearest

@@ -13,7 +13,7 @@ from visualization_msgs.msg import MarkerArray
 
 from humanpred_ros.errors import HumanPredError, UsageError
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.human.named import human_named
+from humanpred_ros.human.model import human_named
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.nodes import conversions, qos, topics
 from humanpred_ros.nodes.base import GraphNode, run_node

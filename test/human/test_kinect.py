@@ -190,7 +190,7 @@ def test_an_upper_arm_along_x_leaves_two_turns_open() -> None:
 @pytest.mark.parametrize(
     ("change", "dof", "said"),
     [
-        (lambda p: p.update(right_elbow=p["right_elbow"] + (0, 0, -0.2)), "rArmTrans", "rArmTrans is .* m, believable"),
+        (lambda p: p.update(right_elbow=p["right_elbow"] + (0, 0, -0.2)), "rArmTrans", "rArmTrans is .* m, plausible"),
         (
             lambda p: p.update(right_hand=p["right_elbow"] + (0, 0, -0.05)),
             "rElbowZ",

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from humanpred_ros.errors import MotionError
-from humanpred_ros.geometry.rigid_fit import pairwise_m
-from humanpred_ros.human.marker_gaps import GapConfig, fill_markers, measure_shapes
-from humanpred_ros.human.marker_set import MarkerSet
+from humanpred_ros.human.marker_gaps import fill_markers, measure_shapes
+from humanpred_ros.human.marker_set import MarkerConfig, MarkerSet
 from humanpred_ros.human.model import HumanModel
+from humanpred_ros.human.rigid_fit import pairwise_m
 
 HUMAN, SET = HumanModel.mocap23(), MarkerSet()
 T_S = np.arange(60) * 0.01
@@ -46,7 +46,7 @@ def test_nothing_hidden_nothing_changed() -> None:
     filled = fill_markers(SET, points, T_S, measure_shapes(SET, points))
     np.testing.assert_allclose(filled.points_m, points, atol=1e-12)
     assert not (filled.restored | filled.interpolated | filled.misplaced).any()
-    plain = fill_markers(SET, points, T_S, measure_shapes(SET, points), GapConfig(fit=False))
+    plain = fill_markers(SET, points, T_S, measure_shapes(SET, points), MarkerConfig(fit=False))
     np.testing.assert_array_equal(plain.points_m, points)
 
 
@@ -70,7 +70,7 @@ def test_three_markers_tell_the_fourth_and_one_of_the_shoulder_the_other() -> No
 def test_only_short_gaps_are_bridged(frames: int, bridged: bool) -> None:
     points = moving()
     gappy = hidden(points, *((20, 19 + frames, name) for name in ("RH2", "RH5", "RHD")))
-    filled = fill_markers(SET, gappy, T_S, measure_shapes(SET, points), GapConfig(longest_gap_s=0.1001))
+    filled = fill_markers(SET, gappy, T_S, measure_shapes(SET, points), MarkerConfig(longest_gap_s=0.1001))
     assert filled.interpolated.sum() == 3 * frames * bridged
     assert np.isfinite(filled.points_m).all() == bridged
     if bridged:

@@ -8,12 +8,11 @@ from paths import shared_data
 
 from humanpred_ros.errors import ArrayError, MotionError
 from humanpred_ros.human.marker_gaps import measure_shapes
-from humanpred_ros.human.marker_labels import MarkerLabeller, label_markers
-from humanpred_ros.human.marker_set import UPPER_BODY, Marker, MarkerSet
-from humanpred_ros.human.marker_shapes import find_start, match_shape
+from humanpred_ros.human.marker_labels import MarkerLabeller, find_start, label_markers, match_shape
+from humanpred_ros.human.marker_set import UPPER_BODY, Marker, MarkerConfig, MarkerSet
 from humanpred_ros.human.marker_skeleton import MarkerSkeleton
 
-skeleton = MarkerSkeleton(upright_pelvis=True)
+skeleton = MarkerSkeleton(config=MarkerConfig(upright_pelvis=True))
 SET = skeleton.markers
 HAND = [SET.index[name] for name in ("RH2", "RH5", "RHD", "RHT")]
 STANDING = np.array([

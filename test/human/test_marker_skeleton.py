@@ -9,13 +9,12 @@ from hypothesis import strategies as st
 from paths import shared_data
 
 from humanpred_ros.errors import ArrayError, HumanModelError, MotionError
-from humanpred_ros.human.marker_gaps import GapConfig
-from humanpred_ros.human.marker_set import UPPER_BODY, Marker, MarkerSet
+from humanpred_ros.human.marker_set import UPPER_BODY, Marker, MarkerConfig, MarkerSet
 from humanpred_ros.human.marker_skeleton import MarkerSkeleton
 from humanpred_ros.human.model import HumanModel
 
 skeleton = MarkerSkeleton()
-recorded_skeleton = MarkerSkeleton(upright_pelvis=True)
+recorded_skeleton = MarkerSkeleton(config=MarkerConfig(upright_pelvis=True))
 COLUMN = skeleton.markers.index
 DOF = skeleton.model.dof_index
 ANGLES = [i for name, i in DOF.items() if "Trans" not in name]
@@ -145,7 +144,7 @@ def test_a_long_gap_stays_open_and_harms_only_what_depends_on_it() -> None:
     assert found.complete.sum() == 60
     with pytest.raises(MotionError, match=r"take 7: .*forearm \(RRS, RUS, RFA, RFB\) in 20 frames from 30 to 49"):
         found.require_complete("take 7")
-    patient = MarkerSkeleton(config=GapConfig(longest_gap_s=0.5))
+    patient = MarkerSkeleton(config=MarkerConfig(longest_gap_s=0.5))
     assert patient.postures(points, t).complete.all()
 
 
@@ -173,7 +172,7 @@ def test_without_the_fit_a_displaced_pair_moves_its_joint_centre_by_its_middle()
     t, q = reach()
     points = skeleton.points(q)
     points[40, COLUMN["RRS"]] += (0.0, 0.0, 0.008)
-    plain = MarkerSkeleton(config=GapConfig(fit=False)).postures(points, t).require_complete()
+    plain = MarkerSkeleton(config=MarkerConfig(fit=False)).postures(points, t).require_complete()
     assert centre_error_m(plain, q)[4] == pytest.approx(0.004, abs=1e-9)
     assert centre_error_m(skeleton.postures(points, t).require_complete(), q)[4] < 0.004
 

@@ -8,8 +8,7 @@ from scipy.spatial import cKDTree
 
 from humanpred_ros.errors import HumanModelError
 from humanpred_ros.geometry.lattice import VoxelGrid
-from humanpred_ros.human.model import HumanModel
-from humanpred_ros.human.surface import sample_bodies
+from humanpred_ros.human.model import HumanModel, sample_bodies
 
 
 @pytest.fixture(scope="module")

@@ -30,8 +30,7 @@ from humanpred_ros.evaluation.parallel import map_processes
 from humanpred_ros.evaluation.recognition.needs import LEARNS_CLASSES, LEARNS_FROM_OTHERS, Needs, check_needs
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
-from humanpred_ros.human.model import HumanModel
-from humanpred_ros.human.named import human_with
+from humanpred_ros.human.model import HumanModel, human_with
 from humanpred_ros.motion.cleaning import DROP_REASONS, flag_library
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.motion.placement import placed, start_pelvis_m, turn_and_shift

@@ -9,8 +9,7 @@ import numpy as np
 
 from humanpred_ros.evaluation.evaluation_grid import P1_RESOLUTION_M, grid_around
 from humanpred_ros.geometry.lattice import VoxelGrid
-from humanpred_ros.human.model import HumanModel
-from humanpred_ros.human.named import human_named, name_of_human
+from humanpred_ros.human.model import HumanModel, human_named, name_of_human
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.predictors.reach_sources import ReachKnowledge
 from humanpred_ros.reaching.places import GoalPlaces, reach_ends

@@ -1,4 +1,7 @@
-"""Placing a rigid cluster of points on measured ones, because three seen markers tell where the fourth must be."""
+"""Rotations of sequences, and placing a rigid cluster of points on measured ones.
+
+Matrices are (T, 3, 3), angles (T,). NaN passes through: what depends on a lost point becomes NaN.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,23 @@ from humanpred_ros.geometry.checks import FloatArray
 
 #: A cluster whose points stray less than this (m) from a line shows no rotation about it.
 THICKNESS_M = 0.01
+
+
+def rotation(axis: str, angle: FloatArray) -> FloatArray:
+    """Return the right-handed rotations (T, 3, 3) by `angle` (T,) about the axis "x", "y" or "z"."""
+    i = "xyz".index(axis)
+    j, k = (i + 1) % 3, (i + 2) % 3
+    R = np.zeros((len(angle), 3, 3))
+    R[:, i, i] = 1.0
+    R[:, j, j] = R[:, k, k] = np.cos(angle)
+    R[:, k, j] = np.sin(angle)
+    R[:, j, k] = -R[:, k, j]
+    return R
+
+
+def rotate_back(R: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Return the vectors (T, 3) in the rotated frames R (T, 3, 3)."""
+    return np.asarray(np.einsum("tji,tj->ti", R, vectors))
 
 
 def place(shape_m: FloatArray, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from humanpred_ros.human.joint_angles import joint_angles, joint_rotation
+from humanpred_ros.human.segment_angles import joint_angles, joint_rotation
 
 SEQUENCES = ["xrz", "zxz", "rxz"]
 each = pytest.mark.parametrize("sequence", SEQUENCES)
