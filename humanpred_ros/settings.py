@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.fields import FieldInfo
 
 from humanpred_ros.errors import SettingsError
 
@@ -23,22 +24,49 @@ def setting(
     low: float | None = None,
     high: float | None = None,
     changeable: bool = False,
+    positional: bool = False,
+    bare: Any = None,
 ) -> Any:
     """Return the field of a `Settings` class.
 
     Args:
-        default: value where nothing is said.
+        default: value where nothing is said; `...` where something must be said.
         description: what it is, for parameter descriptors, `--help` and the reference; without its unit.
         unit: of the value, for people.
         low, high: smallest and largest value allowed (of numbers, or of each number of a tuple).
         changeable: whether the ROS parameter may be changed while the node runs.
+        positional: whether it is given on the command line by its place instead of `--name`.
+        bare: value of a flag that is given without one; None where a flag needs its value.
     """
+    facts = {
+        "description": description,
+        "unit": unit,
+        "low": low,
+        "high": high,
+        "changeable": changeable,
+        "positional": positional,
+        "bare": bare,
+    }
     text = f"{description} ({unit})" if unit else description
-    return Field(
-        default=default,
-        description=text,
-        json_schema_extra={"unit": unit, "low": low, "high": high, "changeable": changeable},
-    )
+    return Field(default=default, description=text, json_schema_extra=facts)
+
+
+def setting_of(owner: type[Settings], name: str, **changes: Any) -> Any:
+    """Return the field `name` of another settings class, for a class that offers it again.
+
+    Args:
+        owner: class that declares the setting.
+        name: of its field.
+        changes: arguments of `setting` that are to differ.
+    """
+    field = owner.model_fields[name]
+    return setting(**{"default": ... if field.is_required() else field.default, **facts_of(field), **changes})
+
+
+def facts_of(field: FieldInfo) -> dict[str, Any]:
+    """Return what `setting` was told about a field, its default left out."""
+    facts = field.json_schema_extra
+    return dict(facts) if isinstance(facts, dict) else {}
 
 
 class Settings(BaseModel):
@@ -60,24 +88,13 @@ class Settings(BaseModel):
     def model_post_init(self, context: Any) -> None:
         """Check ranges, and then what `check` says."""
         for name, field in type(self).model_fields.items():
-            extra = field.json_schema_extra
-            if not isinstance(extra, dict):
+            facts, value = facts_of(field), getattr(self, name)
+            if not facts:
                 continue
-            low, high, value = extra.get("low"), extra.get("high"), getattr(self, name)
+            low, high = facts["low"], facts["high"]
             for number in value if isinstance(value, tuple) else (value,):
                 if isinstance(number, int | float) and not isinstance(number, bool) and not _within(number, low, high):
-                    wanted = (
-                        f"a number from {low} to {high}"
-                        if None not in (low, high)
-                        else (
-                            f"a number of at least {low}"
-                            if low is not None
-                            else f"a number of at most {high}"
-                            if high is not None
-                            else "a finite number"
-                        )
-                    )
-                    raise SettingsError(f"{type(self).__name__} {name}: wanted {wanted}, got {value!r}")
+                    raise SettingsError(f"{type(self).__name__} {name}: wanted {_wanted(low, high)}, got {value!r}")
         self.check()
 
     def check(self) -> None:
@@ -93,9 +110,19 @@ def _within(number: float, low: Any, high: Any) -> bool:
     return finite and (low is None or number >= low) and (high is None or number <= high)
 
 
+def _wanted(low: Any, high: Any) -> str:
+    if low is None and high is None:
+        return "a finite number"
+    if high is None:
+        return f"a number of at least {low}"
+    return f"a number of at most {high}" if low is None else f"a number from {low} to {high}"
+
+
 def _first_error(owner: str, trouble: ValidationError) -> str:
     first = trouble.errors()[0]
     name = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
         return f"{owner}: has no setting {name}"
+    if first["type"] == "missing":
+        return f"{owner} {name}: wanted a value, got none"
     return f"{owner} {name}: {first['msg'][:1].lower() + first['msg'][1:]}, got {first.get('input')!r:.80}"

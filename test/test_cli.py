@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -13,13 +17,14 @@ from paths import REPOSITORY, shared_data
 
 from humanpred_ros.bags.messages import string
 from humanpred_ros.bags.writer import BagWriter
-from humanpred_ros.cli import main
+from humanpred_ros.cli import COMMANDS, add_flags, main
 from humanpred_ros.human.kinect import KINECT12_DOFS
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.csv_library import write_csv_library
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
+from humanpred_ros.settings import Settings, setting
 
 
 def small_library(n_classes: int = 2, n_motions: int = 3) -> MotionLibrary:
@@ -217,3 +222,77 @@ def test_a_truncated_bag_can_be_salvaged(library: Path, tmp_path: Path, capsys: 
     assert main(["bag", "salvage", str(library), "--out", str(tmp_path / "saved")]) == 0
     assert main(["bag", "check", str(tmp_path / "saved")]) == 0
     assert "all is well" in capsys.readouterr().out
+
+
+class Sizes(Settings):
+    """Settings of an invented command."""
+
+    place: Path = setting(..., "where", positional=True)
+    counts: tuple[int, ...] = setting((1, 2), "how many", low=0)
+    kind: Literal["round", "square"] = setting("round", "shape")
+    rate: float | None = setting(None, "times the speed", bare=1.0)
+    smooth: bool = setting(True, "smooth it")
+    loud: bool = setting(False, "say more")
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("here", {}),
+        ("here --counts 3 4 --kind square", {"counts": (3, 4), "kind": "square"}),
+        ("here --counts 3,4,5", {"counts": (3, 4, 5)}),
+        ("here --rate", {"rate": 1.0}),
+        ("here --rate 2.5 --no-smooth --loud", {"rate": 2.5, "smooth": False, "loud": True}),
+    ],
+)
+def test_flags_come_from_the_fields_of_settings(words: str, expected: dict[str, object]) -> None:
+    parser = argparse.ArgumentParser()
+    add_flags(parser, Sizes)
+    assert Sizes(**vars(parser.parse_args(words.split()))) == Sizes(place=Path("here"), **expected)
+
+
+def test_help_shows_defaults_and_units(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["demo", "--help"])
+    assert end.value.code == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "--scene SCENE" in shown
+    assert "(default: four_places)" in shown
+    assert "--hold-last-s S" in shown
+    assert "--real-time [N]" in shown
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ("", "demo"),
+        ("dmo", "dmo"),
+        ("evaluate", "recognition"),
+        ("bench planer", "planer"),
+        ("demo --frob", "--frob"),
+        ("demo --hold-out -1", "--hold-out"),
+        ("demo --hold-out few", "--hold-out"),
+        ("train", "--out"),
+        ("bag check", "BAG"),
+    ],
+)
+def test_what_cannot_be_understood_is_refused_in_one_line(
+    words: str, named: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    expect_refusal(words.split(), named, capsys)
+
+
+@pytest.mark.parametrize("words", [["--help"], ["evaluate", "--help"]])
+def test_the_commands_are_listed_without_importing_them(words: list[str]) -> None:
+    code = f"import sys; from humanpred_ros.cli import main; main({words}); print(*sys.modules)"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert "evaluate recognition" in shown
+    assert "numba" not in shown
+    assert "scipy" not in shown
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_its_function(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main([*name.split(), "--help"])
+    assert f"usage: humanpred {name}" in capsys.readouterr().out

@@ -8,7 +8,7 @@ import shlex
 import pytest
 from paths import REPOSITORY
 
-from humanpred_ros.cli import command_parser
+from humanpred_ros.cli import parse
 
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
 COMMANDS = sorted(set(re.findall(r"(?:^|`)humanpred ([a-z][^`#\n]*)", README, flags=re.MULTILINE)))
@@ -16,7 +16,8 @@ COMMANDS = sorted(set(re.findall(r"(?:^|`)humanpred ([a-z][^`#\n]*)", README, fl
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_of_the_readme_is_understood(command: str) -> None:
-    assert command_parser().parse_args(shlex.split(command)).command
+    run, _ = parse(shlex.split(command))
+    assert callable(run)
 
 
 def test_the_commands_were_found() -> None:

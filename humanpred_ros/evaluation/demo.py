@@ -6,7 +6,6 @@ import json
 import re
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -28,6 +27,7 @@ from humanpred_ros.recognition.model_file import load_model, save_model
 from humanpred_ros.recognition.training import train_model
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import Scene, load_scene
+from humanpred_ros.settings import Settings, setting
 from humanpred_ros.viewing.report import write_report
 from humanpred_ros.viewing.run import read_run
 from humanpred_ros.viewing.summary import RunSummary, print_summary, summarise
@@ -39,74 +39,70 @@ _TRACKER = "skeleton_tracker_replay"
 _PEERS = ("occupancy_predictor", "stomp_planner", "simulated_pr2", "run_recorder")
 
 
-@dataclass(frozen=True)
-class DemoOptions:
-    """What a demo run replays, where, and how.
+class DemoSettings(Settings):
+    """What a demo run replays, where, and how: settings of `humanpred demo`."""
 
-    Attributes:
-        scene: name in config/scenes, or a YAML file.
-        library: motion library the reach comes from and the classes are trained on.
-        trajectory: `class/index` or running number.
-        model: trained model file; None trains on the library without the held-out motions.
-        hold_out: this many first motions of every class are kept from training (P1 leaves out five).
-        seed: of the planner and of training.
-        rate: playback speed in real time; None steps: the next posture waits for the decision on the last, so
-            that a run comes out the same on any machine.
-        steps: replanning steps per human motion (P1: 20, so 5 % each).
-        predictor, classifier: what predicts the occupancy, and what recognises the reach.
-        detect_onsets: find where the motion begins and ends; without it the first posture begins one, as in P1.
-        evidence, window_frames: how `gmm` weighs the postures seen (`GmmConfig`; 0 counts all).
-        threshold: voxels at or below this probability are not published.
-        hold_last_s: how long the human stays at the end, for the arm to finish.
-        markers: record markers too, for a look at the bag in a viewer; costs the nodes time.
-        out: folder of the run; None makes one below runs/.
-    """
-
-    scene: str = "four_places"
-    library: str = "synthetic_reaches"
-    trajectory: str = "3/2"
-    model: str | None = None
-    hold_out: int = 5
-    seed: int = 0
-    rate: float | None = None
-    steps: int = 20
-    predictor: str = DEFAULT_PREDICTOR
-    classifier: str = DEFAULT_CLASSIFIER
-    detect_onsets: bool = True
-    evidence: str = "sum"
-    window_frames: int = 0
-    threshold: float = 0.001
-    hold_last_s: float = 6.0
-    markers: bool = False
-    out: str | None = None
+    scene: str = setting("four_places", "scene name in config/scenes, or a YAML file")
+    library: str = setting("synthetic_reaches", "bag, CSV folder, or the name of a shipped one")
+    trajectory: str = setting("3/2", "motion to replay: class/index, or the running number over sorted classes")
+    model: str | None = setting(None, "model file made by `humanpred train`; none: train now")
+    hold_out: int = setting(5, "first motions of each class not trained on", low=0)
+    predictor: str = setting(
+        DEFAULT_PREDICTOR,
+        "forecast, swept_volume (P1), reaching (P2), or a baseline: current, current_accumulated, constant_velocity",
+    )
+    classifier: str = setting(DEFAULT_CLASSIFIER, "forest, or gmm (P1)")
+    onsets: bool = setting(True, "find where the motion begins and ends; else the first posture begins it, as in P1")
+    evidence: str = setting("sum", "gmm: sum or mean of the postures' log densities")
+    window_frames: int = setting(0, "gmm: count only so many last postures; 0 counts all", low=0)
+    seed: int = setting(0, "of the planner and of training", low=0)
+    steps: int = setting(20, "replanning steps in the human motion", low=1)
+    threshold: float = setting(0.001, "voxels at or below this probability are not published", low=0.0, high=1.0)
+    hold_last_s: float = setting(
+        6.0, "the last posture is repeated this long, for the arm to finish", unit="s", low=0.0
+    )
+    markers: bool = setting(False, "record markers too, for viewers; costs the nodes time")
+    real_time: float | None = setting(
+        None,
+        "do not wait for the planner after every posture: play at this many times the recorded speed (1)",
+        bare=1.0,
+    )
+    out: str | None = setting(None, "folder of the run; none: a new one below runs/")
 
     @property
     def stepped(self) -> bool:
-        return self.rate is None
+        """Whether the next posture waits for the decision on the last, so that a run is the same on any machine."""
+        return self.real_time is None
 
 
-def run_demo(options: DemoOptions, console: Console) -> RunSummary:
+def run(settings: DemoSettings, console: Console) -> int:
+    """Carry out `humanpred demo`."""
+    run_demo(settings, console)
+    return 0
+
+
+def run_demo(settings: DemoSettings, console: Console) -> RunSummary:
     """Run the graph once and return the summary; everything else lies in the run's folder.
 
     Raises:
         HumanPredError: unusable input (before anything is written), or a node that failed.
     """
-    check_predictor(options.predictor, options.classifier)
-    scene = load_scene(options.scene)
-    library = load_library(locate(options.library, "bags"))
+    check_predictor(settings.predictor, settings.classifier)
+    scene = load_scene(settings.scene)
+    library = load_library(locate(settings.library, "bags"))
     human = human_with(library.dof_names)
-    motion = library.find(options.trajectory)
-    folder = _new_folder(options, scene, motion)
+    motion = library.find(settings.trajectory)
+    folder = _new_folder(settings, scene, motion)
     model = None
-    if options.model:
-        load_model(options.model, human)
-    elif needs_model(options.predictor):
-        training = training_part(library, motion, options.hold_out)
+    if settings.model:
+        load_model(settings.model, human)
+    elif needs_model(settings.predictor):
+        training = training_part(library, motion, settings.hold_out)
         with console.status(f"training on {len(training)} motions of {library.name}"):
-            model = train_model(training, human, GmmConfig(seed=options.seed), ForestConfig(seed=options.seed))
+            model = train_model(training, human, GmmConfig(seed=settings.seed), ForestConfig(seed=settings.seed))
 
     folder.mkdir(parents=True)
-    model_path = Path(options.model or folder / "model.npz").resolve()
+    model_path = Path(settings.model or folder / "model.npz").resolve()
     if model is not None:
         save_model(model, model_path)
     replayed = MotionLibrary(f"motion_{motion.name.replace('/', '_')}", (motion,), library.provenance)
@@ -116,11 +112,11 @@ def run_demo(options: DemoOptions, console: Console) -> RunSummary:
         f"goals {', '.join(goal.name for goal in scene.goals)}; run folder {folder}"
     )
     with NodeGroup(folder / "logs", free_domain_id()) as group:
-        _start_nodes(group, options, bag, motion, model_path, folder)
+        _start_nodes(group, settings, bag, motion, model_path, folder)
         _follow(group, console)
-    run = read_run(folder)
-    summary = summarise(run)
-    write_report(run, summary, folder / "report.html")
+    recorded = read_run(folder)
+    summary = summarise(recorded)
+    write_report(recorded, summary, folder / "report.html")
     (folder / "summary.json").write_text(summary.to_json(), encoding="utf-8")
     print_summary(summary, console)
     console.print(f"report  {folder / 'report.html'}\nbag     {folder / 'bag'}")
@@ -148,9 +144,9 @@ def period_of(motion: Motion, steps: int) -> float:
     return motion.duration_s / steps
 
 
-def _new_folder(options: DemoOptions, scene: Scene, motion: Motion) -> Path:
-    if options.out:
-        folder = Path(options.out)
+def _new_folder(settings: DemoSettings, scene: Scene, motion: Motion) -> Path:
+    if settings.out:
+        folder = Path(settings.out)
         if folder.exists() and any(folder.iterdir()):
             raise UsageError(f"{folder} exists and is not empty; choose another folder with --out")
         if folder.exists():
@@ -160,43 +156,45 @@ def _new_folder(options: DemoOptions, scene: Scene, motion: Motion) -> Path:
     return Path("runs") / f"{stamp}-{scene.name}-{motion.name.replace('/', '_')}"
 
 
-def _start_nodes(group: NodeGroup, options: DemoOptions, bag: Path, motion: Motion, model: Path, folder: Path) -> None:
-    period_s = period_of(motion, options.steps)
+def _start_nodes(
+    group: NodeGroup, settings: DemoSettings, bag: Path, motion: Motion, model: Path, folder: Path
+) -> None:
+    period_s = period_of(motion, settings.steps)
     info = {
-        "scene": options.scene,
-        "library": options.library,
+        "scene": settings.scene,
+        "library": settings.library,
         "trajectory": motion.name,
-        "seed": options.seed,
-        "mode": "stepped" if options.stepped else "real_time",
-        "rate": options.rate or "",
+        "seed": settings.seed,
+        "mode": "stepped" if settings.stepped else "real_time",
+        "rate": settings.real_time or "",
         "period_s": repr(period_s),
-        "predictor": options.predictor,
-        "classifier": options.classifier if uses_classifier(options.predictor) else "",
-        "detect_onsets": options.detect_onsets,
-        "threshold": repr(options.threshold),
+        "predictor": settings.predictor,
+        "classifier": settings.classifier if uses_classifier(settings.predictor) else "",
+        "detect_onsets": settings.onsets,
+        "threshold": repr(settings.threshold),
         "package_version": __version__,
         "duration_s": repr(motion.duration_s),
-        "hold_out": options.hold_out,
-        "steps": options.steps,
-        "evidence": options.evidence,
-        "window_frames": options.window_frames,
-        "model": options.model or "",
+        "hold_out": settings.hold_out,
+        "steps": settings.steps,
+        "evidence": settings.evidence,
+        "window_frames": settings.window_frames,
+        "model": settings.model or "",
     }
     # With /clock published, stamps are simulated time; otherwise they are wall time, as on a real robot.
-    simulated_time = options.rate != 1.0
+    simulated_time = settings.real_time != 1.0
     common: dict[str, ParameterValue] = {"use_sim_time": simulated_time}
     group.start(
-        "run_recorder", {"output": str(folder / "bag"), "run_info": json.dumps(info), "markers": options.markers}
+        "run_recorder", {"output": str(folder / "bag"), "run_info": json.dumps(info), "markers": settings.markers}
     )
-    group.start("simulated_pr2", {**common, "scene": options.scene})
+    group.start("simulated_pr2", {**common, "scene": settings.scene})
     group.start(
         "stomp_planner",
         {
             **common,
-            "scene": options.scene,
+            "scene": settings.scene,
             "period_s": period_s,
-            "seed": options.seed,
-            "lossless": options.stepped,
+            "seed": settings.seed,
+            "lossless": settings.stepped,
             "controller": "simulated_pr2",
             "listener": _TRACKER,
         },
@@ -205,16 +203,16 @@ def _start_nodes(group: NodeGroup, options: DemoOptions, bag: Path, motion: Moti
         "occupancy_predictor",
         {
             **common,
-            "scene": options.scene,
+            "scene": settings.scene,
             "model": str(model),
-            "predictor": options.predictor,
+            "predictor": settings.predictor,
             "human": name_of_human(motion.dof_names),
-            "classifier": options.classifier,
-            "detect_onsets": options.detect_onsets,
-            "evidence": options.evidence,
-            "window_frames": options.window_frames,
-            "threshold": options.threshold,
-            "lossless": options.stepped,
+            "classifier": settings.classifier,
+            "detect_onsets": settings.onsets,
+            "evidence": settings.evidence,
+            "window_frames": settings.window_frames,
+            "threshold": settings.threshold,
+            "lossless": settings.stepped,
             "listener": "stomp_planner",
         },
     )
@@ -223,9 +221,9 @@ def _start_nodes(group: NodeGroup, options: DemoOptions, bag: Path, motion: Moti
         {
             "library": str(bag),
             "trajectory": motion.name,
-            "mode": "stepped" if options.stepped else "real_time",
-            "rate": options.rate or 1.0,
-            "hold_last_s": options.hold_last_s,
+            "mode": "stepped" if settings.stepped else "real_time",
+            "rate": settings.real_time or 1.0,
+            "hold_last_s": settings.hold_last_s,
             "wait_for": ",".join(_PEERS),
             "listener": "occupancy_predictor",
         },

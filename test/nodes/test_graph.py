@@ -21,7 +21,7 @@ from waiting import processes_with_environment, wait_until
 
 from humanpred_ros.bags.messages import point_cloud2_fields
 from humanpred_ros.bags.reader import BagReader
-from humanpred_ros.evaluation.demo import DemoOptions, period_of, run_demo
+from humanpred_ros.evaluation.demo import DemoSettings, period_of, run_demo
 from humanpred_ros.evaluation.direct_run import run_direct
 from humanpred_ros.evaluation.reproduce import compare_bags, replay_run
 from humanpred_ros.human.model import HumanModel
@@ -37,7 +37,7 @@ from humanpred_ros.nodes import conversions, topics
 from humanpred_ros.nodes.settings import StompPlannerSettings
 
 LABEL, INDEX = 3, 2
-OPTIONS = DemoOptions(trajectory=f"{LABEL}/{INDEX}", seed=3, markers=True)
+OPTIONS = DemoSettings(trajectory=f"{LABEL}/{INDEX}", seed=3, markers=True)
 POSTURES = topics.human_joint_states("body_0")
 
 
@@ -45,7 +45,7 @@ POSTURES = topics.human_joint_states("body_0")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of one stepped run on the shipped library."""
     folder = tmp_path_factory.mktemp("graph") / "run"
-    options = DemoOptions(**{**OPTIONS.__dict__, "out": str(folder)})
+    options = OPTIONS.replaced(out=str(folder))
     summary = run_demo(options, Console(file=io.StringIO()))
     assert summary.missed == 0
     return folder
@@ -197,7 +197,7 @@ def test_a_fresh_planner_fed_the_recorded_occupancy_decides_the_same(run: Path, 
 
 
 def test_a_comparison_finds_what_differs(run: Path, bag: BagReader, tmp_path: Path) -> None:
-    other = DemoOptions(
+    other = DemoSettings(
         **{**OPTIONS.__dict__, "out": str(tmp_path / "other"), "seed": 4, "model": str(run / "model.npz")}
     )
     run_demo(other, Console(file=io.StringIO()))

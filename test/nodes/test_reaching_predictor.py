@@ -11,7 +11,7 @@ from mocap_library import mocap_library
 from paths import REPOSITORY, shared_data
 from rich.console import Console
 
-from humanpred_ros.evaluation.demo import DemoOptions, run_demo
+from humanpred_ros.evaluation.demo import DemoSettings, run_demo
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.library_io import load_library
@@ -127,7 +127,7 @@ def test_recordings_of_two_people_suffice_where_places_are_told(tmp_path: Path) 
 
 def test_the_demo_runs_with_it_and_with_the_23_dof_human(tmp_path: Path) -> None:
     library = write_library_bag(mocap_library(4, 4, 40), tmp_path / "captured")
-    options = DemoOptions(
+    options = DemoSettings(
         library=str(library), trajectory="1/3", predictor="reaching", hold_out=1, out=str(tmp_path / "run")
     )
     summary = run_demo(options, Console(file=io.StringIO()))

@@ -149,12 +149,12 @@ def test_report_is_replaced_as_a_whole_or_not_at_all(
 
 
 def test_command_to_repeat_is_one_the_command_line_takes(full: Run) -> None:
-    from humanpred_ros.cli import command_parser
+    from humanpred_ros.cli import parse
 
     facts = {**full.facts, "mode": "stepped", "library": "my reaches; rm -rf"}
     words = shlex.split(reproduce_command(dataclasses.replace(full, facts=facts)))
     assert words[0] == "humanpred"
-    options = command_parser().parse_args(words[1:])
+    _, options = parse(words[1:])
     assert (options.scene, options.library, options.trajectory) == ("face_to_face", "my reaches; rm -rf", "3/2")
     assert (options.seed, options.real_time, options.predictor) == (7, None, "swept_volume")
 

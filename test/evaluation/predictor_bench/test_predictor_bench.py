@@ -14,7 +14,7 @@ from mocap_library import mocap_library
 from rich.console import Console
 from small_library import small_library
 
-from humanpred_ros.cli import command_parser
+from humanpred_ros.cli import parse
 from humanpred_ros.errors import HumanModelError, UsageError
 from humanpred_ros.evaluation.predictor_bench import command as predictor_bench_command
 from humanpred_ros.evaluation.predictor_bench import growth
@@ -33,7 +33,7 @@ def demos() -> MotionLibrary:
 
 
 def run(*words: str, printed: Path) -> int:
-    options = command_parser().parse_args(["bench", "predictor", "--motions", "1", "--no-node", *words])
+    _, options = parse(["bench", "predictor", "--motions", "1", "--no-node", *words])
     with printed.open("w") as file:
         return predictor_bench_command.run(options, Console(file=file, width=120))
 

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 from small_library import small_library
 
-from humanpred_ros.cli import command_parser, main
+from humanpred_ros.cli import main, parse
 from humanpred_ros.evaluation.streams import command as stream_command
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.motion import MotionLibrary
@@ -32,7 +32,7 @@ def resting_first(n_motions: int = 4) -> MotionLibrary:
 def test_streams_are_evaluated_and_written(tmp_path: Path) -> None:
     library, out = write_library_bag(resting_first(), tmp_path / "library"), tmp_path / "streams.json"
     words = ["evaluate", "streams", "--library", str(library), "--classifier", "forest", "--json", str(out)]
-    options = command_parser().parse_args([*words, "--jobs", "1"])
+    _, options = parse([*words, "--jobs", "1"])
     with (tmp_path / "printed").open("w") as printed:
         assert stream_command.run(options, Console(file=printed, width=120)) == 0
     text = (tmp_path / "printed").read_text()

@@ -1,0 +1,196 @@
+"""The commands of `humanpred` that only read, convert or write files: their settings and what they do."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from humanpred_ros.resources import locate
+from humanpred_ros.settings import Settings, setting
+
+if TYPE_CHECKING:
+    from humanpred_ros.bags.salvage import BagReport
+
+_FRAME_PERIOD_S = 1 / 60
+
+
+class TrainSettings(Settings):
+    """Settings of `humanpred train`."""
+
+    library: str = setting(..., "bag, CSV folder, or the name of a shipped one", positional=True)
+    out: Path = setting(..., "model file to write (.npz)")
+    hold_out: int = setting(0, "first motions of each class not trained on", low=0)
+    components: int = setting(40, "Gaussians per class", low=1)
+    phase: bool = setting(True, "let the phase be a feature")
+    seed: int = setting(0, "of training", low=0)
+    frame_period: float = setting(_FRAME_PERIOD_S, "time between frames where a CSV has no times", unit="s")
+
+
+def train(settings: TrainSettings, console: Console) -> int:
+    """Learn a model from a motion library."""
+    from humanpred_ros.human.model import human_with
+    from humanpred_ros.motion.library_io import load_library
+    from humanpred_ros.recognition.gmm_config import GmmConfig
+    from humanpred_ros.recognition.model_file import save_model
+    from humanpred_ros.recognition.training import train_model
+
+    library = load_library(locate(settings.library, "bags"), frame_period_s=settings.frame_period)
+    if settings.hold_out:
+        held_out = {m.name for label in library.labels for m in library.of_class(label)[: settings.hold_out]}
+        library = library.select(lambda motion: motion.name not in held_out)
+    config = GmmConfig(n_components=settings.components, phase_feature=settings.phase, seed=settings.seed)
+    with console.status(f"training on {len(library)} motions of {library.name}"):
+        model = train_model(library, human_with(library.dof_names), config)
+    save_model(model, settings.out)
+    console.print(f"{settings.out}: {len(model.labels)} classes from {len(library)} motions of {library.name}")
+    return 0
+
+
+class ImportSettings(Settings):
+    """Settings of `humanpred import`."""
+
+    source: tuple[str, ...] = setting(..., "folder with class_<k>.csv files", positional=True)
+    out: Path = setting(..., "folder for the bags, one per library")
+    overwrite: bool = setting(False, "replace bags that exist")
+    show_flags: bool = setting(False, "print everything that looks suspicious")
+    clean: bool = setting(False, "unwrap angles; without it everything is kept as it is")
+    drop: bool = setting(False, "clean, and leave out motions that jump or are mislabelled")
+    frame_period: float = setting(_FRAME_PERIOD_S, "time between frames where a CSV has no times", unit="s")
+
+
+def import_libraries(settings: ImportSettings, console: Console) -> int:
+    """Turn CSV motion libraries into MCAP bags."""
+    from humanpred_ros.motion.bag_library import write_library_bag
+    from humanpred_ros.motion.cleaning import clean_library, flag_library
+    from humanpred_ros.motion.library_io import load_library
+
+    for source in settings.source:
+        library = load_library(source, frame_period_s=settings.frame_period)
+        flags = flag_library(library)
+        for reason, count in Counter(flag.reason for flag in flags).items():
+            console.print(f"{source}: {count} flagged {reason}", markup=False, highlight=False)
+        if settings.show_flags:
+            for flag in flags:
+                console.print(f"  {flag}", markup=False, highlight=False)
+        if settings.clean or settings.drop:
+            library = clean_library(library, drop=settings.drop)
+        bag = write_library_bag(library, settings.out / library.name, overwrite=settings.overwrite)
+        console.print(f"{source} -> {bag}: {len(library)} motions", markup=False, highlight=False, soft_wrap=True)
+    return 0
+
+
+class GenerateSettings(Settings):
+    """Settings of `humanpred generate`."""
+
+    out: Path = setting(..., "bag to write")
+    motions: int = setting(25, "motions per class", low=1)
+    seed: int = setting(0, "of all random draws", low=0)
+    compare: str | None = setting(None, "library whose statistics are printed beside the new one's")
+    overwrite: bool = setting(False, "replace a bag that exists")
+
+
+def generate(settings: GenerateSettings, console: Console) -> int:
+    """Make a synthetic motion library by simulation."""
+    from humanpred_ros.motion.bag_library import write_library_bag
+    from humanpred_ros.motion.library_io import load_library
+    from humanpred_ros.motion.library_statistics import comparison_markdown
+    from humanpred_ros.motion.synthetic import ReachGeneratorConfig, generate_library
+
+    other = load_library(settings.compare) if settings.compare else None
+    config = ReachGeneratorConfig(motions_per_class=settings.motions, name=settings.out.name)
+    with console.status(f"generating {settings.motions} motions per class"):
+        library = generate_library(config, np.random.default_rng(settings.seed))
+    write_library_bag(library, settings.out, overwrite=settings.overwrite)
+    console.print(f"{settings.out}: {len(library)} motions, seed {settings.seed}")
+    if other is not None:
+        print(comparison_markdown(library, other))
+    return 0
+
+
+class ReportSettings(Settings):
+    """Settings of `humanpred report`."""
+
+    run: Path = setting(..., "folder of the run", positional=True)
+    out: Path | None = setting(None, "HTML file; none: report.html in the run's folder")
+
+
+def report(settings: ReportSettings, console: Console) -> int:
+    """Write the HTML report of a recorded run, and its summary as JSON beside it."""
+    from humanpred_ros.viewing.report import write_report
+    from humanpred_ros.viewing.run import read_run
+    from humanpred_ros.viewing.summary import print_summary, summarise
+
+    run = read_run(settings.run)
+    summary = summarise(run)
+    out = settings.out or settings.run / "report.html"
+    write_report(run, summary, out)
+    out.with_name("summary.json").write_text(summary.to_json(), encoding="utf-8")
+    print_summary(summary, console)
+    console.print(f"report  {out}")
+    return 0
+
+
+class ReplaySettings(Settings):
+    """Settings of `humanpred replay`."""
+
+    run: Path = setting(..., "folder of the run", positional=True)
+    out: Path | None = setting(None, "bag to write; none: replayed_bag in the run's folder")
+
+
+def replay(settings: ReplaySettings, console: Console) -> int:
+    """Feed a run's recorded occupancy to a fresh planner; return 1 if its decisions differ."""
+    from humanpred_ros.evaluation.reproduce import replay_run
+
+    with console.status("feeding the recorded occupancy to a fresh planner"):
+        comparison = replay_run(settings.run, settings.out or settings.run / "replayed_bag")
+    for difference in comparison.differing[:10]:
+        console.print(difference, markup=False, highlight=False)
+    console.print(
+        f"{comparison.n_decisions} decisions, {comparison.n_trajectories} trajectories: "
+        + (f"{len(comparison.differing)} differ" if comparison.differing else "reproduced bit for bit")
+    )
+    return 1 if comparison.differing else 0
+
+
+class BagCheckSettings(Settings):
+    """Settings of `humanpred bag check`."""
+
+    bag: Path = setting(..., "bag to read", positional=True)
+
+
+class BagSalvageSettings(BagCheckSettings):
+    """Settings of `humanpred bag salvage`."""
+
+    out: Path = setting(..., "bag to write")
+
+
+def bag_check(settings: BagCheckSettings, console: Console) -> int:
+    """Read a bag completely, with checksums; return 1 if there is a problem."""
+    from humanpred_ros.bags.salvage import check_bag
+
+    found = check_bag(settings.bag)
+    _print_bag(found, console)
+    return 0 if found.ok else 1
+
+
+def bag_salvage(settings: BagSalvageSettings, console: Console) -> int:
+    """Copy what is intact in a damaged bag to a new one."""
+    from humanpred_ros.bags.salvage import salvage_bag
+
+    _print_bag(salvage_bag(settings.bag, settings.out), console)
+    return 0
+
+
+def _print_bag(found: BagReport, console: Console) -> None:
+    table = Table(str(found.path), "messages", box=None)
+    for topic, count in sorted(found.messages.items()):
+        table.add_row(topic, str(count))
+    console.print(table)
+    for problem in found.problems:
+        console.print(f"problem: {problem}", markup=False)
+    console.print("all is well" if found.ok else "not all is well")
