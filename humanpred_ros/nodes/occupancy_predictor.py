@@ -23,9 +23,10 @@ from humanpred_ros.nodes.settings import OccupancyPredictorSettings
 from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
 from humanpred_ros.predictors.factory import check_predictor, make_predictor, needs_model
 from humanpred_ros.predictors.reach_goals import goals_from_text, goals_of_scene
-from humanpred_ros.predictors.reach_sources import ReachKnowledge, reach_weights
+from humanpred_ros.predictors.reach_sources import ReachKnowledge
 from humanpred_ros.reaching.places import GoalPlaces
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
+from humanpred_ros.reaching.weights import reach_weights
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.model_file import load_model
 from humanpred_ros.recognition.registry import make_classifier

@@ -11,7 +11,7 @@ from typing import Any
 
 from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR
 from humanpred_ros.planning.replanner import ReplannerConfig
-from humanpred_ros.reaching.named_weights import NAMED_WEIGHTS
+from humanpred_ros.reaching.features import NAMED_WEIGHTS
 from humanpred_ros.reaching.reaching_predictor import DEFAULT_WEIGHTS
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 from humanpred_ros.stomp.planner import StompConfig

@@ -16,14 +16,14 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.reach_recordings import ACTIVE, find_jumps
 from humanpred_ros.occupancy.voxeliser import checked_placement
-from humanpred_ros.reaching.named_weights import NAMED_WEIGHTS
+from humanpred_ros.reaching.features import NAMED_WEIGHTS
 from humanpred_ros.reaching.place_classifier import GoalClassifier, learn_goal_model
 from humanpred_ros.reaching.place_model import GoalModel
 from humanpred_ros.reaching.places import GoalPlaces, mistracked
 from humanpred_ros.reaching.reach_model import ReachModel
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
-from humanpred_ros.reaching.surroundings import ReachScene
-from humanpred_ros.reaching.weights_file import load_weights
+from humanpred_ros.reaching.surroundings import Surroundings
+from humanpred_ros.reaching.weights import load_weights
 from humanpred_ros.recognition.training import TrainedModel
 
 
@@ -108,7 +108,7 @@ class ReachKnowledge:
                 "to take them from; give some"
             )
         classifier = GoalClassifier(self.model.human, model=self.goal_model, goals=places)
-        scene = ReachScene.of_obstacles(obstacles, np.linalg.inv(checked_placement(T_world_human)))
+        scene = Surroundings.of_obstacles(obstacles, np.linalg.inv(checked_placement(T_world_human)))
         return ReachingPredictor(
             self.model, classifier, grid, T_world_human, onsets=onsets, weights=weights, scene=scene
         )
@@ -130,7 +130,7 @@ def library_of_model(model: TrainedModel) -> MotionLibrary:
 
 
 def reach_weights(name_or_file: str) -> FloatArray:
-    """Return (24,) weights of P2's cost: of a name (`named_weights`), or from a file (`weights_file`).
+    """Return (24,) weights of P2's cost: of a name (`NAMED_WEIGHTS`), or from a file (`weights_file`).
 
     Raises:
         UsageError: no such name, and no JSON file either.

@@ -1,68 +1,54 @@
-"""Which reaches are impossible because they run into table or partner: samples in collision are discarded (P2 III-C).
+"""Finds the samples of a demonstration that collide with table or partner; learning discards them (P2 III-C).
 
-Trunk and right arm of the reaching person are capsules; what they must not touch are the fixed obstacles of the scene
-and the partner's body, in the posture in which the partner is when the reach begins (P2 III-A). The person's own legs,
-left arm and head are left out, as in planning. Distances are exact, not those of the planner's lattice, which is too
-coarse for boards of 2 cm.
+Trunk and right arm of the reaching person are capsules. They must not touch the fixed obstacles or the partner's body,
+in the posture the partner has when the reach begins (P2 III-A). The person's own legs, left arm and head are left out,
+as in planning. Distances are exact; the planner's lattice is too coarse for boards of 2 cm.
 
 Recorded people touch each other, and markers, bodies and boxes are measured to a centimetre or two: two of P2's seven
-reaches pass through something by up to 3 cm. What a person did cannot be impossible. Therefore a sample collides where
-it goes deeper than the demonstration itself goes, pair by pair of body and obstacle; `Touch` says where that is so.
+reaches pass through something by up to 3 cm. What a person did cannot be impossible. Therefore a sample collides only
+where it goes deeper than the demonstration itself, for each pair of body and obstacle.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.shapes import Cylinder, Obstacle
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching import collision_kernels as kernels
-from humanpred_ros.reaching.body import MOVING_BODIES, BodyCapsules
-from humanpred_ros.reaching.cost_terms import ReachBody
-from humanpred_ros.reaching.demonstrations import Demonstration
-from humanpred_ros.reaching.surroundings import ReachScene
+from humanpred_ros.reaching.body import MOVING_BODIES, BodyCapsules, ReachBody
+from humanpred_ros.reaching.surroundings import Surroundings
+from humanpred_ros.settings import Settings, setting
 
 _FAR_M = 1e3
 
 
-@dataclass(frozen=True)
-class CollisionConfig:
-    """What counts as a collision of a sample.
+class CollisionSettings(Settings):
+    """What counts as a collision of a sample."""
 
-    Attributes:
-        partner: whether the partner is in the way; the authors' code looks at the table only (facts section 3).
-        slack_m: a sample may go deeper than its demonstration by so much, half of what motion capture is right to.
-        doubtful_m: a demonstration that goes deeper than this makes one doubt that the scene stands right.
-
-    Raises:
-        UsageError: negative numbers.
-    """
-
-    partner: bool = True
-    slack_m: float = 0.005
-    doubtful_m: float = 0.05
-
-    def __post_init__(self) -> None:
-        if not (self.slack_m >= 0.0 and self.doubtful_m >= 0.0):
-            raise UsageError(
-                f"collisions: wanted slack and doubt of 0 m or more, got {self.slack_m} and {self.doubtful_m}"
-            )
+    partner: bool = setting(True, "Whether the partner is an obstacle; the authors' code looks at the table only")
+    slack_m: float = setting(
+        0.005, "A sample may go deeper than its demonstration by this, half the accuracy of motion capture", unit="m",
+        low=0.0,
+    )  # fmt: skip
+    doubtful_m: float = setting(
+        0.05, "A demonstration that goes deeper than this questions where the obstacles stand", unit="m", low=0.0
+    )
 
 
 @dataclass(frozen=True)
 class Touch:
-    """Where a demonstration itself is in something.
+    """A body of the reaching person that is inside something in a demonstration.
 
     Attributes:
         body: of the reaching person.
-        obstacle: in the scene, or `partner's <body>`.
+        obstacle: its name, or `partner's <body>`.
         depth_m: how deep at most.
     """
 
@@ -75,107 +61,95 @@ class Touch:
 
 
 class ReachCollisions:
-    """Finds collisions of one human's reaches in one scene; immutable.
+    """Prepares what all demonstrations of one human in one place share; immutable.
 
     Args:
         model: the human, also the partner.
-        scene: fixed obstacles; P2's table if None.
-        config: settings.
+        surroundings: fixed obstacles; P2's table if None.
+        settings: what counts as a collision.
 
     Raises:
         HumanModelError: a human without trunk and right arm.
     """
 
     def __init__(
-        self, model: HumanModel, scene: ReachScene | None = None, config: CollisionConfig | None = None
+        self,
+        model: HumanModel,
+        surroundings: Surroundings | None = None,
+        settings: CollisionSettings | None = None,
     ) -> None:
-        self.model, self.config = model, config or CollisionConfig()
-        self.scene = scene or ReachScene.of_p2()
+        self.model, self.settings = model, settings or CollisionSettings()
+        self.surroundings = surroundings or Surroundings.of_p2()
+        self.moving_names = tuple(body.name for body in model.bodies if body.name in MOVING_BODIES)
         self._body = ReachBody(model)
-        moving = BodyCapsules.of(model, MOVING_BODIES)
-        self._moving_names = tuple(body.name for body in model.bodies if body.name in MOVING_BODIES)
         # The kernel's capsules: rows of both ends among the body's points, and radii.
-        self._moving = (np.ascontiguousarray(self._body.capsules[:, :2]), moving.radius_m.astype(np.float32))
-        self._fixed = _packed(self.scene.obstacles)
+        self.moving = (np.ascontiguousarray(self._body.capsules[:, :2]), self._body.radius_m)
+        self.fixed = _packed(self.surroundings.obstacles)
         self._partner = BodyCapsules.of(model)
-        self._partner_names = tuple(f"partner's {body.name}" for body in model.bodies)
 
-    def beside(self, demo: Demonstration) -> DemonstrationCollisions:
-        """Return what decides about samples of a demonstration."""
-        names = [obstacle.name for obstacle in self.scene.obstacles]
+    def beside(self, q: FloatArray, partner: FloatArray | None) -> SampleCollisions:
+        """Return what decides about samples of the demonstration q (N, J), beside a partner in posture (J,) or none."""
+        names = [obstacle.name for obstacle in self.surroundings.obstacles]
         ends, radius = np.zeros((0, 2, 3)), np.zeros(0)
-        if self.config.partner and demo.partner is not None:
-            ends, radius = self._partner.placed(self.model, demo.partner), self._partner.radius_m
-            names += self._partner_names
-        partner = (np.ascontiguousarray(ends, dtype=np.float32), radius.astype(np.float32))
-        field = self.scene.field_with(ends, radius)
-        lattice = (field.values, field.origin_m.astype(np.float32), np.float32(field.resolution_m))
-        least = np.full((len(self._moving_names), len(names)), np.float32(_FAR_M))
-        kernels.clearances(self._points(demo.q[None])[0], self._moving, self._fixed, partner, least)
-        return DemonstrationCollisions(self, _Obstacles(partner, lattice, tuple(names)), least)
+        if self.settings.partner and partner is not None:
+            ends, radius = self._partner.placed(self.model, partner), self._partner.radius_m
+            names += [f"partner's {body.name}" for body in self.model.bodies]
+        return SampleCollisions(self, q, ends, radius, tuple(names))
 
-    def touching(self, q: FloatArray, obstacles: _Obstacles, allowed_m: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Return the number of a pair that touches in each of reaches (R, N, J), (R,), -1 for none."""
-        found = np.empty(len(q), dtype=np.int64)
-        kernels.touches(
-            self._points(q), self._moving, self._fixed, obstacles.partner, obstacles.lattice, allowed_m, found
-        )
-        return found
-
-    @property
-    def moving_names(self) -> tuple[str, ...]:
-        """Bodies that must not touch anything."""
-        return self._moving_names
-
-    def _points(self, q: FloatArray) -> NDArray[np.float32]:
+    def points(self, q: FloatArray) -> NDArray[np.float32]:
+        """Return the points (R, N, P, 3) of the body in reaches (R, N, J)."""
         postures = np.asarray(q, dtype=np.float32)
         points = self._body.points(postures.reshape(-1, postures.shape[-1]), with_body=True)
         return points.reshape(*postures.shape[:2], *points.shape[1:])
 
 
-class _Obstacles(NamedTuple):
-    """What is in the way of one demonstration, as the kernels want it, and the names of it all."""
-
-    partner: tuple[NDArray[np.float32], NDArray[np.float32]]
-    lattice: tuple[NDArray[np.float32], NDArray[np.float32], np.float32]
-    names: tuple[str, ...]
-
-
-class DemonstrationCollisions:
+class SampleCollisions:
     """Decides which variations of one demonstration collide; made by `ReachCollisions.beside`.
 
     Attributes:
-        touches: where the demonstration itself is in something, the deepest first.
+        touches: where the demonstration itself is inside something, the deepest first.
     """
 
     def __init__(
         self,
-        collisions: ReachCollisions,
-        obstacles: _Obstacles,
-        clearance_m: NDArray[np.float32],
+        shared: ReachCollisions,
+        q: FloatArray,
+        partner_ends_m: FloatArray,
+        partner_radius_m: FloatArray,
+        obstacle_names: tuple[str, ...],
     ) -> None:
-        self._collisions, self._obstacles = collisions, obstacles
-        slack = np.float32(collisions.config.slack_m)
-        self._allowed_m = np.minimum(clearance_m - slack, np.float32(0.0))
-        pairs = np.argwhere(clearance_m < 0.0)
-        touches = [Touch(*self._names(int(c), int(o)), float(-clearance_m[c, o])) for c, o in pairs]
+        self._shared, self._obstacle_names = shared, obstacle_names
+        partner = (np.ascontiguousarray(partner_ends_m, dtype=np.float32), partner_radius_m.astype(np.float32))
+        field = shared.surroundings.field_with(partner_ends_m, partner_radius_m)
+        lattice = (field.values, field.origin_m.astype(np.float32), np.float32(field.resolution_m))
+        least = np.full((len(shared.moving_names), len(obstacle_names)), np.float32(_FAR_M))
+        kernels.clearances(shared.points(q[None])[0], shared.moving, shared.fixed, partner, least)
+        allowed = np.minimum(least - np.float32(shared.settings.slack_m), np.float32(0.0))
+        self._obstacles = (shared.moving, shared.fixed, partner, lattice, allowed)
+        touches = [Touch(*self._names(int(c), int(o)), float(-least[c, o])) for c, o in np.argwhere(least < 0.0)]
         self.touches = tuple(sorted(touches, key=lambda touch: -touch.depth_m))
 
-    def __call__(self, q: FloatArray) -> NDArray[np.bool_]:
+    def of(self, q: FloatArray) -> NDArray[np.bool_]:
         """Return which of reaches (R, N, J) collide, (R,)."""
-        return np.asarray(self._collisions.touching(q, self._obstacles, self._allowed_m) >= 0, dtype=np.bool_)
+        return np.asarray(self._found(q) >= 0, dtype=np.bool_)
 
-    def usual_touch(self, q: FloatArray) -> str:
-        """Return what reaches (R, N, J) run into most often, in words; empty if none collides."""
-        found = self._collisions.touching(q, self._obstacles, self._allowed_m)
+    def most_frequent(self, q: FloatArray) -> str:
+        """Return in words what reaches (R, N, J) collide with most often; empty if none collides."""
+        found = self._found(q)
         found = found[found >= 0]
         if not len(found):
             return ""
-        body, obstacle = self._names(*divmod(int(np.bincount(found).argmax()), len(self._obstacles.names)))
+        body, obstacle = self._names(*divmod(int(np.bincount(found).argmax()), len(self._obstacle_names)))
         return f"{body.replace('_', ' ')} into {obstacle.replace('_', ' ')}"
 
+    def _found(self, q: FloatArray) -> NDArray[np.int64]:
+        """Return the number of a pair that touches in each of reaches (R, N, J), (R,), -1 for none."""
+        found = np.empty(len(q), dtype=np.int64)
+        kernels.touches(self._shared.points(q), *self._obstacles, found)
+        return found
+
     def _names(self, body: int, obstacle: int) -> tuple[str, str]:
-        return self._collisions.moving_names[body], self._obstacles.names[obstacle]
+        return self._shared.moving_names[body], self._obstacle_names[obstacle]
 
 
 def _packed(obstacles: Sequence[Obstacle]) -> tuple[NDArray[Any], ...]:

@@ -1,59 +1,64 @@
-"""Demonstrations to learn from: recorded reaches, and their later parts, as one meets them when predicting on the way.
+"""What weights are learned from: recorded reaches, their later parts, and random variations of both (P2 III-C).
 
-A prediction made in the middle of a reach starts from a person in motion. P2 therefore also learns from each reach cut
-at every 0.1 s, and keeps what came before the cut, so that velocity, acceleration and jerk at the cut are those of the
-person. (The authors' code is one step off here: it looks at t0 - 7 dt to t0 - 2 dt; facts section 5.)
+A prediction in the middle of a reach starts from a moving person. P2 therefore also learns from each reach cut at every
+0.1 s, and keeps the postures before the cut, so that velocity, acceleration and jerk at the cut are the person's. (The
+authors' code keeps t0 - 7 dt to t0 - 2 dt, one step too early.)
+
+Around each demonstration, reaches are drawn that the person could have made instead. What distinguishes the
+demonstration from them is what inverse optimal control learns.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+from scipy.linalg import cholesky_banded
 
-from humanpred_ros.errors import MotionError, UsageError
+from humanpred_ros.errors import MotionError
 from humanpred_ros.geometry.checks import FloatArray, frozen
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import ACTIVE, ReachRecording
-from humanpred_ros.reaching.features import ReachFeatures, ReachSituation
-from humanpred_ros.reaching.stencils import PADDING
+from humanpred_ros.reaching.collisions import SampleCollisions
+from humanpred_ros.reaching.feature_kernels import REACH
+from humanpred_ros.reaching.features import PADDING, RULES, ReachFeatures, ReachSituation
+from humanpred_ros.reaching.learning_kernels import solve_upper
+from humanpred_ros.settings import Settings, setting
 
 
-@dataclass(frozen=True)
-class SplittingConfig:
-    """Where reaches are cut (facts section 5: 27 cuts of P2's seven).
+class CutSettings(Settings):
+    """Where reaches are cut; the defaults give P2's 27 cuts of its seven reaches (docs/papers.md, "P2 learning")."""
 
-    Attributes:
-        first_s: the first cut, one frame at 100 Hz as in the authors' code.
-        every_s: between cuts.
-        least_s: a cut that leaves fewer frames than this lasts is not made (P2's code: 80 frames).
+    first_s: float = setting(0.01, "Time of the first cut; as published, one frame at 100 Hz", unit="s", low=1e-6)
+    every_s: float = setting(0.10, "Time between cuts", unit="s", low=1e-6)
+    least_s: float = setting(0.80, "A cut that leaves less than this is not made", unit="s", low=1e-6)
 
-    Raises:
-        UsageError: times that are not positive.
-    """
 
-    first_s: float = 0.01
-    every_s: float = 0.10
-    least_s: float = 0.80
+class SamplingSettings(Settings):
+    """How demonstrations are varied (docs/papers.md, "P2 learning")."""
 
-    def __post_init__(self) -> None:
-        if not all(np.isfinite(span) and span > 0.0 for span in (self.first_s, self.every_s, self.least_s)):
-            raise UsageError(
-                f"splitting: wanted positive times in seconds, got {self.first_s}, {self.every_s} and {self.least_s}"
-            )
+    n_samples: int = setting(700, "Number of variations of each demonstration", low=1)
+    deviation: float = setting(
+        1.5e-4,
+        "Scale of the noise N(0, deviation^2 / R) of every DoF; the default moves the middle of a reach by 0.11 rad or "
+        "m and its ends by 1e-4",
+        low=1e-12,
+    )
+    attempts: int = setting(10, "At most so many times n_samples are drawn to find n_samples without collision", low=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """A reach, or its rest after a cut, resampled evenly in time.
+    """A reach, or the rest of it after a cut, resampled evenly in time.
 
     Attributes:
         recording: name of the recording it is from.
         first_frame: frame of the recording it begins at, 0 for a whole reach.
         q: (N, J) postures.
-        situation: duration, partner at the first frame, and the way there.
-        partner: (J,) posture of the partner at the first frame; None if nobody is there.
+        situation: duration, partner at the first frame, and the postures before it.
+        partner: (J,) posture of the partner at the first frame; None if there is none.
     """
 
     recording: str
@@ -69,76 +74,159 @@ class Demonstration:
 
 
 def demonstration(recording: ReachRecording, features: ReachFeatures, first_frame: int = 0) -> Demonstration:
-    """Return a reach from one of its frames on.
-
-    Where the history would reach back before the recording, the person is taken to have stood still there.
+    """Return a reach from one of its frames on; before the recording the person is taken to have stood still.
 
     Raises:
         MotionError: a frame outside, or one that leaves less than two frames.
         HumanModelError: a recording of another human.
     """
     features.model.check_dofs(recording.active.dof_names)
-    active, N = recording.active, features.config.n_waypoints
+    active, N = recording.active, features.settings.n_waypoints
     if not 0 <= first_frame <= len(active) - 2:
         raise MotionError(f"{recording.name}: wanted a cut at frame 0 to {len(active) - 2}, got {first_frame}")
     begin_s, end_s = float(active.t_s[first_frame]), float(active.t_s[-1])
     dt_s = (end_s - begin_s) / (N - 1)
     history = None
     if first_frame:
-        history = _at(active, begin_s + dt_s * np.arange(-PADDING, 0, dtype=np.float64))
-    partner = features.link_points(recording.passive.q[first_frame])
-    postures = _at(active, np.linspace(begin_s, end_s, N))
-    situation = ReachSituation(end_s - begin_s, partner, history)
-    beside = recording.passive.q[first_frame]
-    return Demonstration(recording.name, first_frame, frozen(postures), situation, beside)  # type: ignore[arg-type]
+        history = resampled(active.t_s, active.q, begin_s + dt_s * np.arange(-PADDING, 0, dtype=np.float64))
+    partner = recording.passive.q[first_frame]
+    situation = ReachSituation(end_s - begin_s, features.link_points(partner), history)
+    q = frozen(resampled(active.t_s, active.q, np.linspace(begin_s, end_s, N)))
+    return Demonstration(recording.name, first_frame, q, situation, partner)  # type: ignore[arg-type]
 
 
-def cut_frames(motion: Motion, config: SplittingConfig | None = None) -> list[int]:
+def cut_frames(motion: Motion, settings: CutSettings | None = None) -> list[int]:
     """Return the frames at which a reach is cut, ascending; none if it is too short."""
-    config = config or SplittingConfig()
-    first, every, least = (
-        max(1, round(span / motion.period_s)) for span in (config.first_s, config.every_s, config.least_s)
-    )
+    s = settings or CutSettings()
+    first, every, least = (max(1, round(span / motion.period_s)) for span in (s.first_s, s.every_s, s.least_s))
     return list(range(first, len(motion) - least + 1, every))
 
 
 def demonstrations(
     recordings: Sequence[ReachRecording],
     features: ReachFeatures,
-    splitting: SplittingConfig | None = None,
+    cuts: CutSettings | None = None,
     *,
     keep_unfit: bool = False,
 ) -> tuple[Demonstration, ...]:
-    """Return what can be learned from recordings: every reach and, if `splitting` is given, its cuts.
+    """Return what can be learned from recordings: every reach and, if `cuts` are given, its later parts.
 
     Args:
         recordings: some.
         features: settings of the resampling, and the human.
-        splitting: where to cut; None for whole reaches only.
-        keep_unfit: learn from recordings with jumps, too. Without it they are left out, but for parts after the jump.
-            Recordings shorter than the jerk's difference are left out in any case.
+        cuts: where to cut; None for whole reaches only.
+        keep_unfit: also learn from recordings with jumps. Without it only the parts after the jump are used.
+            Recordings shorter than the jerk's difference are always left out.
     """
     found = []
     for recording in recordings:
-        frames = [0, *(cut_frames(recording.active, splitting) if splitting else [])]
-        for frame in frames:
+        for frame in (0, *(cut_frames(recording.active, cuts) if cuts else ())):
             if len(recording.active) - frame < recording.least_frames:
                 continue
             demo = demonstration(recording, features, frame)
-            if keep_unfit or _steady(recording, demo):
+            if keep_unfit or _has_no_jump(recording, demo):
                 found.append(demo)
     return tuple(found)
 
 
-def _steady(recording: ReachRecording, demo: Demonstration) -> bool:
-    """Return whether no jump is in the demonstration or in what it remembers of the way there."""
+def resampled(t_s: FloatArray, q: FloatArray, wanted_s: FloatArray) -> FloatArray:
+    """Return postures (T, J) at times (T,), interpolated between postures (n, J) at times (n,); ends are repeated."""
+    postures: FloatArray = np.stack([np.interp(wanted_s, t_s, column) for column in q.T], axis=-1)
+    return postures
+
+
+def _has_no_jump(recording: ReachRecording, demo: Demonstration) -> bool:
+    """Return whether no jump is in the demonstration or in the postures kept before it."""
     t_s = recording.active.t_s
     step_s = demo.situation.duration_s / (len(demo.q) - 1)
     seen_s = t_s[demo.first_frame] - (PADDING * step_s if demo.first_frame else 0.0)
     return not any(jump.role == ACTIVE and t_s[jump.frame] >= seen_s for jump in recording.jumps)
 
 
-def _at(motion: Motion, t_s: FloatArray) -> FloatArray:
-    """Interpolate postures; before the first and after the last frame the person stands still."""
-    postures: FloatArray = np.stack([np.interp(t_s, motion.t_s, column) for column in motion.q.T], axis=1)
-    return postures
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Variations of one demonstration.
+
+    Attributes:
+        q: (K, N, J) postures; none of them collides.
+        collided: how many more were drawn that do.
+    """
+
+    q: FloatArray
+    collided: int
+
+
+def sample_around(
+    demo: Demonstration,
+    settings: SamplingSettings,
+    rng: np.random.Generator,
+    collisions: SampleCollisions | None = None,
+) -> Samples:
+    """Return n_samples variations of a demonstration; colliding ones are discarded and replaced by new ones.
+
+    If some are still missing after the last attempt, fewer are returned. (The authors' code then keeps colliding ones.)
+
+    Raises:
+        MotionError: all samples collide, with the demonstration's name.
+    """
+    kept: list[FloatArray] = []
+    found, drawn, collided, count = 0, 0, 0, settings.n_samples
+    for _ in range(settings.attempts):
+        samples = demo.q + settings.deviation * smooth_noise(rng, count, *demo.q.shape)
+        drawn += count
+        free = samples if collisions is None else samples[~collisions.of(samples)]
+        collided += count - len(free)
+        kept.append(free[: settings.n_samples - found])
+        found += len(kept[-1])
+        if found == settings.n_samples:
+            break
+        # As many as are likely to suffice, given the share that collided so far.
+        count = min(settings.n_samples, 1 + (settings.n_samples - found) * drawn // max(found, 1))
+    if found == 0 and collisions is not None:
+        raise MotionError(
+            f"demonstration {demo.name}: wanted samples around it that do not collide, all {settings.attempts} x "
+            f"{settings.n_samples} do, most with {collisions.most_frequent(samples)}; check where table and objects "
+            f"stand, leave the recording out, or lower the deviation {settings.deviation}"
+        )
+    return Samples(np.concatenate(kept), collided)
+
+
+def smooth_noise(rng: np.random.Generator, n_reaches: int, n_waypoints: int, n_dofs: int) -> FloatArray:
+    """Return draws (R, N, J) of N(0, 1/R) with R = D'D of the jerk rule, every waypoint and DoF of unit scale.
+
+    Raises:
+        MotionError: fewer waypoints than the rule looks at.
+    """
+    white = rng.standard_normal((n_waypoints, n_reaches * n_dofs))
+    drawn = np.empty((n_reaches, n_waypoints, n_dofs))
+    solve_upper(_cholesky(n_waypoints), white, drawn)  # x = U^-1 z with R = U'U
+    return drawn
+
+
+@lru_cache(maxsize=16)
+def _cholesky(n_waypoints: int) -> FloatArray:
+    """Return the upper Cholesky factor of R in LAPACK's bands (7, N)."""
+    if n_waypoints < 2 * REACH + 1:
+        raise MotionError(f"sampling: wanted at least {2 * REACH + 1} waypoints, got {n_waypoints}")
+    D = jerk_matrix(n_waypoints)
+    R, width = D.T @ D, 2 * REACH
+    bands = np.zeros((width + 1, n_waypoints))
+    for k in range(width + 1):
+        bands[width - k, k:] = np.diagonal(R, k)
+    return frozen(cholesky_banded(bands))  # type: ignore[return-value]
+
+
+def jerk_matrix(n_waypoints: int) -> FloatArray:
+    """Return the dense third differences (N + 12, N) of a reach; what lies outside the reach counts as zero.
+
+    Row r stands at waypoint r - 6. Every padded row that sees a waypoint is included, so D'D is the quadratic form of a
+    change that vanishes outside.
+    """
+    rows = n_waypoints + 2 * PADDING
+    D = np.zeros((rows, n_waypoints))
+    for row in range(rows):
+        for offset, factor in zip(range(-REACH, REACH + 1), RULES[2], strict=True):
+            column = row - PADDING + offset
+            if 0 <= column < n_waypoints:
+                D[row, column] += factor
+    return D

@@ -1,7 +1,7 @@
-"""The compiled sums behind the features of a reach, and their gradients.
+"""The compiled sums behind the features of reaches.
 
 `y` are signals (R, N, C) of R reaches with N waypoints: postures, or positions of the wrist. `before` (H, C) came
-before the first waypoint; with H = 0 the first waypoint stands in for it. After the last waypoint it is repeated.
+before the first waypoint; with H = 0 the first waypoint is repeated there. After the last waypoint it is repeated.
 """
 
 from __future__ import annotations
@@ -11,9 +11,8 @@ import numpy as np
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.compiled import exact, fast
 
-#: How far a rule of `stencils` looks to each side.
+#: How many waypoints a difference rule looks to each side.
 REACH = 3
-_RULE_LENGTH = 2 * REACH + 1
 
 
 @fast
@@ -54,41 +53,6 @@ def differences(y: FloatArray, before: FloatArray, rules: FloatArray, out: Float
 
 
 @exact
-def differences_back(
-    y: FloatArray, before: FloatArray, rules: FloatArray, weights: FloatArray, out: FloatArray
-) -> None:
-    """Add to `out` (R, N, C) the gradient of sum(weights (1 + K,) . differences) with respect to y."""
-    n_reaches, n, n_signals = y.shape
-    window = np.empty((_RULE_LENGTH, n_signals))
-    for r in range(n_reaches):
-        for i in range(n):
-            if i + 1 < n:
-                for c in range(n_signals):
-                    d = 2.0 * weights[0] * (y[r, i + 1, c] - y[r, i, c])
-                    out[r, i + 1, c] += d
-                    out[r, i, c] -= d
-            for o in range(_RULE_LENGTH):
-                _fetch(y, before, r, i + o - REACH, window[o])
-            for k in range(len(rules)):
-                if weights[1 + k] == 0.0:
-                    continue
-                for c in range(n_signals):
-                    value = 0.0
-                    for o in range(_RULE_LENGTH):
-                        value += rules[k, o] * window[o, c]
-                    value *= 2.0 * weights[1 + k]
-                    for o in range(_RULE_LENGTH):
-                        at = i + o - REACH
-                        if at >= n:
-                            at = n - 1
-                        if at < 0:
-                            if len(before) > 0:
-                                continue  # what came before does not change
-                            at = 0
-                        out[r, at, c] += rules[k, o] * value
-
-
-@exact
 def _fetch(y: FloatArray, before: FloatArray, r: int, i: int, out: FloatArray) -> None:
     n = y.shape[1]
     if i < 0 and len(before) > 0:
@@ -111,30 +75,3 @@ def closeness(
                 z = points[m, a, 2] - partner[b, 2]
                 d = np.sqrt(x * x + y * y + z * z)
                 out[m, a * n_other + b] = height * np.exp(-decay * d) if d < cutoff else 0.0
-
-
-@exact
-def closeness_back(
-    points: FloatArray,
-    partner: FloatArray,
-    height: float,
-    decay: float,
-    cutoff: float,
-    weights: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Add to `out` (M, A, 3) the gradient of sum(weights (A * B,) . closeness) with respect to the points."""
-    n_other = len(partner)
-    for m in range(points.shape[0]):
-        for a in range(points.shape[1]):
-            for b in range(n_other):
-                x = points[m, a, 0] - partner[b, 0]
-                y = points[m, a, 1] - partner[b, 1]
-                z = points[m, a, 2] - partner[b, 2]
-                d = np.sqrt(x * x + y * y + z * z)
-                if d == 0.0 or d >= cutoff:
-                    continue
-                pull = -decay * height * np.exp(-decay * d) * weights[a * n_other + b] / d
-                out[m, a, 0] += pull * x
-                out[m, a, 1] += pull * y
-                out[m, a, 2] += pull * z

@@ -1,15 +1,15 @@
-"""What a person may be minimising while reaching beside a partner: P2's 24 features of a reach (P2 III-A).
+"""P2's 24 features of a reach: what people may be minimising when they reach beside a partner (P2 III-A).
 
-Eight say how smooth it is (length, velocity, acceleration, jerk, of the posture and of the wrist), sixteen how close
-pelvis, wrist, elbow and shoulder come to those of the partner. A reach's cost is `weights . features`.
-
-Values are those of P2's published pipeline (facts section 4), its scales included; they bring the features to
-similar sizes and carry no meaning of their own.
+Eight features measure smoothness: length, velocity, acceleration and jerk, first of the posture, then of the wrist.
+Sixteen measure how close the person's pelvis, wrist, elbow and shoulder come to those of the partner. The cost of a
+reach is `weights . features`. Values and scales are those of docs/papers.md ("P2 features").
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,54 +20,83 @@ from humanpred_ros.human.chain_points import ChainPoints
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching import feature_kernels
 from humanpred_ros.reaching.feature_kernels import REACH
-from humanpred_ros.reaching.stencils import PADDING, RULES
+from humanpred_ros.settings import Settings, setting
 
-#: Links whose distances to the partner's are features (P2 III-A), in that order.
+#: Links whose distances to the partner's links are features, in this order (P2 III-A).
 LINK_POINTS = ("pelvis", "right_wrist", "right_elbow", "right_shoulder")
-_SHORT = {"pelvis": "pelvis", "right_wrist": "wrist", "right_elbow": "elbow", "right_shoulder": "shoulder"}
 SMOOTHNESS_NAMES = (
     "posture length", "posture velocity", "posture acceleration", "posture jerk",
     "wrist length", "wrist velocity", "wrist acceleration", "wrist jerk",
 )  # fmt: skip
-DISTANCE_NAMES = tuple(f"{_SHORT[mine]} to {_SHORT[theirs]}" for mine in LINK_POINTS for theirs in LINK_POINTS)
+_SHORT = [name.removeprefix("right_") for name in LINK_POINTS]
+DISTANCE_NAMES = tuple(f"{mine} to {theirs}" for mine in _SHORT for theirs in _SHORT)
 FEATURE_NAMES = (*SMOOTHNESS_NAMES, *DISTANCE_NAMES)
 N_SMOOTHNESS, N_FEATURES = len(SMOOTHNESS_NAMES), len(FEATURE_NAMES)
 
-#: What each feature is multiplied by, as in P2's code (facts section 4); metres and radians count alike.
-SMOOTHNESS_SCALES = (1e-1, 1e-5, 1e-10, 1e-15, 1e1, 1e-3, 1e-9, 1e-13)
-SCALES: FloatArray = frozen(np.array([*SMOOTHNESS_SCALES, *([1.0] * len(DISTANCE_NAMES))]))  # type: ignore[assignment]
+#: Factors of the features, as published; metres and radians count alike.
+SCALES: FloatArray = frozen(np.array([1e-1, 1e-5, 1e-10, 1e-15, 1e1, 1e-3, 1e-9, 1e-13, *([1.0] * 16)]))  # type: ignore[assignment]
+#: First, second and third difference over offsets -3..+3, in units of the time step, (3, 7). As published; they are
+#: not centred.
+RULES = np.array(
+    [
+        [c / 6.0 for c in (0.0, 0.0, -2.0, -3.0, 6.0, -1.0, 0.0)],
+        [c / 12.0 for c in (0.0, -1.0, 16.0, -30.0, 16.0, -1.0, 0.0)],
+        [c / 12.0 for c in (0.0, 1.0, -17.0, 46.0, -46.0, 17.0, -1.0)],
+    ]
+)
+#: Postures kept of what came before a reach (P2: 6), more than the rules look back.
+PADDING = 6
 
 
-@dataclass(frozen=True)
-class FeatureConfig:
-    """How features are computed (facts section 4).
+def _weights(smoothness: tuple[float, ...], distances: tuple[float, ...]) -> FloatArray:
+    w = np.zeros(N_FEATURES)
+    w[: len(smoothness)] = smoothness
+    w[N_SMOOTHNESS:] = distances
+    return frozen(w)  # type: ignore[return-value]
 
-    Attributes:
-        n_waypoints: a reach is resampled to so many waypoints, evenly in time.
-        closeness_height: value of a distance feature's integrand at distance zero.
-        closeness_base, closeness_range_m: it falls to one `base`-th with every `range_m`.
-        closeness_cutoff_m: it is zero from here on.
-    """
 
-    n_waypoints: int = 100
-    closeness_height: float = 5.0
-    closeness_base: float = 6.0
-    closeness_range_m: float = 0.16
-    closeness_cutoff_m: float = 0.80
+#: Weights (24,) that need no learning. "baseline_0" is smooth and ignores the partner, "baseline_1" also avoids every
+#: link of the partner (P2 IV-D); 1000 is P2's weight 100 with the factors of its files. "authors_static" and
+#: "authors_dynamic" are the means over what P2's authors learned from each of the seven reaches alone, without and with
+#: cuts; they have seen the reaches that are tested here.
+NAMED_WEIGHTS: Mapping[str, FloatArray] = MappingProxyType(
+    {
+        "baseline_0": _weights((0.0, 1000.0), (0.0,) * 16),
+        "baseline_1": _weights((0.0, 1000.0), (10.0,) * 16),
+        "authors_static": _weights(
+            (129, 150, 154, 150, 134, 156, 201, 180),
+            (174, 60, 36, 123, 115, 50, 4, 10, 103, 41, 0, 15, 55, 69, 7, 14),
+        ),
+        "authors_dynamic": _weights(
+            (113, 170, 145, 143, 95, 177, 132, 202),
+            (112, 46, 30, 121, 75, 49, 47, 67, 74, 0, 43, 83, 121, 98, 0, 5),
+        ),
+    }
+)
+
+
+class FeatureSettings(Settings):
+    """How features are computed (docs/papers.md (2.2))."""
+
+    n_waypoints: int = setting(100, "Waypoints that a reach is resampled to, evenly in time", low=2 * REACH + 1)
+    closeness_height: float = setting(5.0, "Value of a distance feature's integrand at distance zero")
+    closeness_base: float = setting(6.0, "The integrand falls to one over this with every range", low=1.0)
+    closeness_range_m: float = setting(0.16, "Distance over which the integrand falls by its base", unit="m", low=1e-6)
+    closeness_cutoff_m: float = setting(0.80, "The integrand is zero from this distance on", unit="m", low=0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class ReachSituation:
-    """What the features of a reach depend on beside its postures.
+    """What the features of a reach depend on besides its postures.
 
     Attributes:
-        duration_s: from first to last waypoint.
-        partner_m: (4, 3) pelvis, wrist, elbow and shoulder of the partner, who stands still (P2 III-A).
-        history: (6, J) postures at the reach's own spacing before its first waypoint, the latest last; None for a
+        duration_s: from the first to the last waypoint.
+        partner_m: (4, 3) `LINK_POINTS` of the partner, who stands still (P2 III-A).
+        history: (6, J) postures before the first waypoint, at the spacing of the waypoints, the latest last; None for a
             person who was at rest.
 
     Raises:
-        MotionError: no positive duration, or arrays of other shapes.
+        MotionError: a duration that is not positive, or arrays of other shapes.
     """
 
     duration_s: float
@@ -84,100 +113,59 @@ class ReachSituation:
 
 
 class ReachFeatures:
-    """The features of batches of reaches of one human; immutable.
+    """Computes the features of batches of reaches of one human; immutable.
 
     Attributes:
         model: the reaching human: one chain of joints that carries `LINK_POINTS`.
-        config: settings.
+        settings: of the features.
 
     Raises:
         HumanModelError: another kind of model.
-        ArrayError: settings with too few waypoints.
     """
 
-    def __init__(self, model: HumanModel, config: FeatureConfig | None = None) -> None:
+    def __init__(self, model: HumanModel, settings: FeatureSettings | None = None) -> None:
         self.model = model
-        self.config = config or FeatureConfig()
+        self.settings = settings or FeatureSettings()
         self._points = ChainPoints(model, LINK_POINTS)
         self._wrist = LINK_POINTS.index("right_wrist")
-        if self.config.n_waypoints < 2 * REACH + 1:
-            raise ArrayError(f"features: wanted at least {2 * REACH + 1} waypoints, got {self.config.n_waypoints}")
 
     def link_points(self, q: ArrayLike) -> FloatArray:
-        """Return the points (..., 4, 3) of `LINK_POINTS` of postures (..., J), metres: also the partner's."""
+        """Return the positions (..., 4, 3) of `LINK_POINTS` in postures (..., J), metres; also those of a partner."""
         return np.asarray(self._points.positions(np.asarray(q, dtype=np.float64)), dtype=np.float64)
 
     def waypoint_values(self, q: ArrayLike, situation: ReachSituation) -> FloatArray:
         """Return what each waypoint adds to each feature, (R, N, 24), for reaches (R, N, J).
 
         Raises:
-            ArrayError: reaches of another shape, or values that are not finite.
+            ArrayError: reaches or a history of another shape, or values that are not finite.
         """
-        reaches, before, scales = self._prepared(q, situation)
-        n_reaches, n, _ = reaches.shape
-        points = self.link_points(reaches)
-        values = np.empty((n_reaches, n, N_FEATURES))
-        for first, (signal, earlier) in enumerate(self._signals(reaches, points, before)):
-            part = np.empty((n_reaches, n, 4))
-            feature_kernels.differences(signal, earlier, RULES, part)
-            values[..., 4 * first : 4 * first + 4] = part
-        close = np.empty((n_reaches * n, N_FEATURES - N_SMOOTHNESS))
-        feature_kernels.closeness(points.reshape(-1, 4, 3), situation.partner_m, *self._closeness, close)
-        values[..., N_SMOOTHNESS:] = close.reshape(n_reaches, n, -1)
-        values *= scales
-        return values
-
-    def values(self, q: ArrayLike, situation: ReachSituation) -> FloatArray:
-        """Return the features (R, 24) of reaches (R, N, J), or (24,) of one reach (N, J)."""
-        batch = np.asarray(q, dtype=np.float64)
-        values: FloatArray = self.waypoint_values(batch[None] if batch.ndim == 2 else batch, situation).sum(axis=1)
-        return values[0] if batch.ndim == 2 else values
-
-    def cost_gradient(
-        self, q: ArrayLike, weights: ArrayLike, situation: ReachSituation
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return costs (R,) and their gradients (R, N, J) by all waypoints of reaches (R, N, J).
-
-        First and last waypoint count where they are repeated outside the reach.
-        """
-        w = checked("weights", weights, (N_FEATURES,))
-        costs: FloatArray = self.waypoint_values(q, situation).sum(axis=1) @ w
-        reaches, before, scales = self._prepared(q, situation)
-        n_reaches, n, _ = reaches.shape
-        points = self.link_points(reaches)
-        factors = w * scales
-        by_signal = []
-        for first, (signal, earlier) in enumerate(self._signals(reaches, points, before)):
-            part = np.zeros_like(signal)
-            feature_kernels.differences_back(signal, earlier, RULES, factors[4 * first : 4 * first + 4], part)
-            by_signal.append(part)
-        force = np.zeros((n_reaches * n, len(LINK_POINTS), 3))
-        feature_kernels.closeness_back(
-            points.reshape(-1, 4, 3), situation.partner_m, *self._closeness, factors[N_SMOOTHNESS:], force
-        )
-        force = force.reshape(n_reaches, n, -1, 3)
-        force[:, :, self._wrist] += by_signal[1]
-        return costs, by_signal[0] + self._points.pull_back(reaches, force)
-
-    def _prepared(self, q: ArrayLike, situation: ReachSituation) -> tuple[FloatArray, FloatArray, FloatArray]:
-        n, n_dofs = self.config.n_waypoints, len(self.model.dof_names)
+        n, n_dofs = self.settings.n_waypoints, len(self.model.dof_names)
         reaches = np.ascontiguousarray(checked("reaches", q, ("R", n, n_dofs)))
         before = np.zeros((0, n_dofs)) if situation.history is None else situation.history
         if before.shape[1] != n_dofs:
             raise ArrayError(f"history: wanted {n_dofs} DoFs as the reach has, got {before.shape[1]}")
+        points = self.link_points(reaches)
+        wrist = np.ascontiguousarray(points[:, :, self._wrist])
+        wrist_before = self.link_points(before)[:, self._wrist] if len(before) else np.zeros((0, 3))
+        values = np.empty((len(reaches), n, N_FEATURES))
+        signals = ((reaches, before), (wrist, np.ascontiguousarray(wrist_before)))
+        for first, (signal, earlier) in enumerate(signals):
+            part = np.empty((len(reaches), n, 4))
+            feature_kernels.differences(signal, earlier, RULES, part)
+            values[..., 4 * first : 4 * first + 4] = part
+        s, close = self.settings, np.empty((len(reaches) * n, N_FEATURES - N_SMOOTHNESS))
+        decay = float(np.log(s.closeness_base)) / s.closeness_range_m
+        feature_kernels.closeness(
+            points.reshape(-1, 4, 3), situation.partner_m, s.closeness_height, decay, s.closeness_cutoff_m, close
+        )
+        values[..., N_SMOOTHNESS:] = close.reshape(len(reaches), n, -1)
         dt_s = situation.duration_s / (n - 1)
         per_derivative = np.array([1.0, dt_s**-2, dt_s**-4, dt_s**-6])
-        units = np.concatenate([per_derivative, per_derivative, np.full(N_FEATURES - N_SMOOTHNESS, dt_s)])
-        return reaches, before, SCALES * units
+        values *= SCALES * np.concatenate([per_derivative, per_derivative, np.full(16, dt_s)])
+        return values
 
-    def _signals(
-        self, reaches: FloatArray, points: FloatArray, before: FloatArray
-    ) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
-        wrist = np.ascontiguousarray(points[:, :, self._wrist])
-        earlier = self.link_points(before)[:, self._wrist] if len(before) else np.zeros((0, 3))
-        return (reaches, before), (wrist, np.ascontiguousarray(earlier))
-
-    @property
-    def _closeness(self) -> tuple[float, float, float]:
-        c = self.config
-        return c.closeness_height, float(np.log(c.closeness_base)) / c.closeness_range_m, c.closeness_cutoff_m
+    def values(self, q: ArrayLike, situation: ReachSituation) -> FloatArray:
+        """Return the features (R, 24) of reaches (R, N, J), or (24,) of one reach (N, J); raises as above."""
+        batch = np.asarray(q, dtype=np.float64)
+        values: FloatArray = self.waypoint_values(batch[None] if batch.ndim == 2 else batch, situation).sum(axis=1)
+        return values[0] if batch.ndim == 2 else values

@@ -23,7 +23,7 @@ from humanpred_ros.reaching.posture_bounds import PostureBounds
 from humanpred_ros.reaching.progress import ReachProgress
 from humanpred_ros.reaching.reach_model import ReachModel
 from humanpred_ros.reaching.shape import ReachShape
-from humanpred_ros.reaching.surroundings import ReachScene
+from humanpred_ros.reaching.surroundings import Surroundings
 from humanpred_ros.stomp.planner import StompConfig
 
 #: STOMP needs some noise for every DoF.
@@ -80,7 +80,7 @@ class ReachFutures:
         self,
         model: ReachModel,
         weights: ArrayLike,
-        scene: ReachScene | None = None,
+        scene: Surroundings | None = None,
         config: ReachFuturesConfig | None = None,
     ) -> None:
         self.model = model
@@ -90,7 +90,7 @@ class ReachFutures:
         noise = tuple(np.clip(deviation, _LEAST_NOISE, _MOST_NOISE).tolist())
         planning = ReachPlannerConfig(replace(c.stomp, noise_std=noise), obstacle_weight=c.obstacle_weight)
         bounds = PostureBounds(human.lower, human.upper, np.zeros(len(human.dof_names), dtype=np.bool_))
-        self._planner = ReachPlanner(human, weights, bounds, scene or ReachScene.empty(), planning)
+        self._planner = ReachPlanner(human, weights, bounds, scene or Surroundings.empty(), planning)
         self._nobody = self._planner.nobody()
         half = np.random.default_rng(c.seed).standard_normal((c.n_samples // 2, 3, len(human.dof_names)))
         #: (S, 3, D) draws of end posture, way and posture after the return.

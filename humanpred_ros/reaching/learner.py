@@ -1,115 +1,58 @@
-"""From recordings to weights, with how sure they are and where they come from."""
+"""Learns weights from recordings, and says how certain they are and where they come from (P2 III-C)."""
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import logging
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from types import MappingProxyType
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from humanpred_ros import __version__
 from humanpred_ros.errors import MotionError, UsageError
-from humanpred_ros.geometry.checks import FloatArray, checked, frozen
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
-from humanpred_ros.reaching.collisions import CollisionConfig, ReachCollisions, Touch
-from humanpred_ros.reaching.demonstrations import Demonstration, SplittingConfig, demonstrations
-from humanpred_ros.reaching.features import FEATURE_NAMES, N_FEATURES, FeatureConfig, ReachFeatures
-from humanpred_ros.reaching.piirl import Contrast, PiirlConfig, PiirlSolution, contrasts, learn_weights
-from humanpred_ros.reaching.sampling import SamplingConfig
-from humanpred_ros.reaching.surroundings import ReachScene
+from humanpred_ros.reaching.collisions import CollisionSettings, ReachCollisions
+from humanpred_ros.reaching.demonstrations import CutSettings, Demonstration, SamplingSettings, demonstrations
+from humanpred_ros.reaching.features import FEATURE_NAMES, N_FEATURES, FeatureSettings, ReachFeatures
+from humanpred_ros.reaching.piirl import Contrast, PiirlSettings, PiirlSolution, contrasts, learn_weights
+from humanpred_ros.reaching.surroundings import Surroundings
+from humanpred_ros.reaching.weights import ReachWeights
+from humanpred_ros.settings import Settings, setting
 
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class LearningConfig:
-    """How weights are learned from recordings.
+class LearningSettings(Settings):
+    """How weights are learned from recordings."""
 
-    Attributes:
-        features: how reaches become features.
-        splitting: where reaches are cut; None to learn from whole reaches only.
-        sampling: what demonstrations are told apart from.
-        collisions: what makes a sample impossible; None keeps samples that run through table and partner.
-        piirl: loss, bounds, penalties.
-        keep_unfit: learn from recordings with jumps, too, as P2 did.
-        bootstrap: weights are learned so many more times, from recordings drawn with replacement.
-        seed: of samples and bootstrap.
-
-    Raises:
-        UsageError: a negative number.
-    """
-
-    features: FeatureConfig = field(default_factory=FeatureConfig)
-    splitting: SplittingConfig | None = field(default_factory=SplittingConfig)
-    sampling: SamplingConfig = field(default_factory=SamplingConfig)
-    collisions: CollisionConfig | None = field(default_factory=CollisionConfig)
-    piirl: PiirlConfig = field(default_factory=PiirlConfig)
-    keep_unfit: bool = False
-    bootstrap: int = 20
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.bootstrap < 0 or self.seed < 0:
-            raise UsageError(f"learning: wanted bootstrap and seed of 0 or more, got {self.bootstrap}, {self.seed}")
-
-
-@dataclass(frozen=True, eq=False)
-class ReachWeights:
-    """What a person minimises while reaching, learned: immutable.
-
-    Attributes:
-        weights: (24,) of `FEATURE_NAMES`.
-        bootstrap: (B, 24) weights learned from recordings drawn with replacement; how they scatter says how sure a
-            weight is. B is 0 if there was one recording only.
-        at_upper: names of the weights that were stopped by their bound: the data ask for more.
-        provenance: what was learned from, how, and by which version.
-
-    Raises:
-        MotionError: arrays of another shape, or negative weights.
-    """
-
-    weights: FloatArray
-    bootstrap: FloatArray
-    at_upper: tuple[str, ...]
-    provenance: Mapping[str, Any]
-
-    def __post_init__(self) -> None:
-        weights = checked("weights", self.weights, (N_FEATURES,), error=MotionError)
-        bootstrap = checked("bootstrap", self.bootstrap, ("B", N_FEATURES), error=MotionError)
-        if (weights < 0.0).any() or (bootstrap < 0.0).any():
-            raise MotionError(f"weights: wanted 0 or more, got {min(weights.min(), bootstrap.min(initial=0.0))}")
-        if unknown := sorted(set(self.at_upper) - set(FEATURE_NAMES)):
-            raise MotionError(f"weights at their bound: wanted names of features, got {', '.join(unknown)}")
-        object.__setattr__(self, "weights", frozen(weights))
-        object.__setattr__(self, "bootstrap", frozen(bootstrap))
-        object.__setattr__(self, "at_upper", tuple(self.at_upper))
-        object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
-
-    @property
-    def spread(self) -> FloatArray:
-        """(24,) standard deviation over the bootstrap; NaN with fewer than two."""
-        if len(self.bootstrap) < 2:
-            return np.full(N_FEATURES, np.nan)
-        spread: FloatArray = self.bootstrap.std(axis=0, ddof=1)
-        return spread
+    features: FeatureSettings = setting(FeatureSettings(), "How reaches become features")
+    splitting: CutSettings | None = setting(CutSettings(), "Where reaches are cut; none for whole reaches only")
+    sampling: SamplingSettings = setting(SamplingSettings(), "How demonstrations are varied")
+    collisions: CollisionSettings | None = setting(
+        CollisionSettings(), "Which samples are discarded; none keeps those that go through table and partner"
+    )
+    piirl: PiirlSettings = setting(PiirlSettings(), "Loss, bounds, penalties")
+    keep_unfit: bool = setting(False, "Also learn from recordings with jumps, as P2 did")
+    bootstrap: int = setting(20, "Times that weights are learned again, from recordings drawn with replacement", low=0)
+    seed: int = setting(0, "Seed of samples and bootstrap", low=0)
 
 
 class ReachLearner:
-    """Learns weights from any choice of some recordings, drawing and evaluating samples once.
+    """Learns weights from any choice of some recordings; samples are drawn and evaluated once.
 
-    Leave-one-out, bootstrap and single-recording weights are then a few milliseconds each.
+    Weights of a choice (leave one out, bootstrap, single recordings) are then a few milliseconds each.
 
     Args:
         recordings: all that will be chosen from.
         model: the human; P2's 23-DoF human if None.
-        config: settings.
-        scene: what samples must not run into, beside the partner; P2's table if None.
+        settings: how to learn.
+        surroundings: what samples must not touch, beside the partner; P2's table if None.
+
+    Attributes:
+        settings: how it learns.
+        names: of the recordings that something can be learned from.
 
     Raises:
         UsageError: two recordings of one name.
@@ -121,12 +64,12 @@ class ReachLearner:
         self,
         recordings: Sequence[ReachRecording],
         model: HumanModel | None = None,
-        config: LearningConfig | None = None,
-        scene: ReachScene | None = None,
+        settings: LearningSettings | None = None,
+        surroundings: Surroundings | None = None,
     ) -> None:
-        self.config = config or LearningConfig()
+        self.settings = s = settings or LearningSettings()
         self._model = model or HumanModel.mocap23()
-        features = ReachFeatures(self._model, self.config.features)
+        features = ReachFeatures(self._model, s.features)
         self._recordings = {recording.name: recording for recording in recordings}
         if len(self._recordings) < len(recordings):
             names = [recording.name for recording in recordings]
@@ -134,33 +77,28 @@ class ReachLearner:
             raise UsageError(f"learning: wanted recordings of different names, got {', '.join(twice)} more than once")
         for recording in recordings:
             self._model.check_dofs(recording.active.dof_names)
-        demos = demonstrations(recordings, features, self.config.splitting, keep_unfit=self.config.keep_unfit)
+        demos = demonstrations(recordings, features, s.splitting, keep_unfit=s.keep_unfit)
         self._left_out = _left_out(recordings, demos)
-        # Recordings' names beside what is said of them.
-        self._said = [*self._left_out.items(), *_learned_all_the_same(recordings, demos)]
         collisions = None
-        if self.config.collisions is not None:
-            collisions = ReachCollisions(self._model, scene, self.config.collisions)
-        self._obstacles = [] if collisions is None else [obstacle.name for obstacle in collisions.scene.obstacles]
-        rng = np.random.default_rng(self.config.seed)
-        self._contrasts = contrasts(demos, features, self.config.sampling, rng, collisions)
-        self._said += [*self._touching(), *self._scarce()]
+        if s.collisions is not None:
+            collisions = ReachCollisions(self._model, surroundings, s.collisions)
+        self._obstacles = [] if collisions is None else [each.name for each in collisions.surroundings.obstacles]
+        self._contrasts = contrasts(demos, features, s.sampling, np.random.default_rng(s.seed), collisions)
+        self.names = tuple(dict.fromkeys(contrast.recording for contrast in self._contrasts))
+        # (name of a recording, a sentence about it)
+        self._notes = [*self._left_out.items(), *_unfit_but_used(recordings, demos)]
+        self._notes += [*self._touching(), *self._too_few_samples()]
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences about what was left out, what touches what, and where samples are lacking, by recording's name.
+        """Sentences, with the recording's name, on what was left out, what touches what, and where samples are missing.
 
-        Those that question the data were logged as warnings, too.
+        Those that question the data were also logged as warnings.
         """
-        return tuple(text for _, text in self._said)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the recordings that something can be learned from."""
-        return tuple(dict.fromkeys(contrast.recording for contrast in self._contrasts))
+        return tuple(text for _, text in self._notes)
 
     def learn(self, names: Sequence[str] | None = None, *, bootstrap: bool = True) -> ReachWeights:
-        """Return the weights learned from the recordings `names`, all if None.
+        """Return the weights learned from the recordings `names`, from all if None.
 
         Raises:
             UsageError: a name that was not given.
@@ -172,14 +110,14 @@ class ReachLearner:
                 f"learning: wanted names of recordings, got {', '.join(unknown)}; use {', '.join(self._recordings)}"
             )
         mine = [contrast for contrast in self._contrasts if contrast.recording in chosen]
+        left_out = [self._left_out[name] for name in chosen if name in self._left_out]
         if not mine:
-            why = "; ".join(self._left_out[name] for name in chosen if name in self._left_out) or "no recordings"
+            why = "; ".join(left_out) or "no recordings"
             raise MotionError(f"learning: wanted at least one demonstration, got none ({why}); add recordings")
-        solution = learn_weights(mine, self.config.piirl)
-        draws = self._bootstrap(mine, solution) if bootstrap else np.zeros((0, N_FEATURES))
+        solution = learn_weights(mine, self.settings.piirl)
         return ReachWeights(
             weights=solution.weights,
-            bootstrap=draws,
+            bootstrap=self._bootstrap(mine, solution) if bootstrap else np.zeros((0, N_FEATURES)),
             at_upper=tuple(name for name, stopped in zip(FEATURE_NAMES, solution.at_upper, strict=True) if stopped),
             provenance={
                 "package_version": __version__,
@@ -187,62 +125,61 @@ class ReachLearner:
                 "human_signature": self._model.signature,
                 "recordings": list(chosen),
                 "sha256": {name: recording_hash(self._recordings[name]) for name in chosen},
-                "left_out": [self._left_out[name] for name in chosen if name in self._left_out],
-                "notes": [text for name, text in self._said if name in chosen],
+                "left_out": left_out,
+                "notes": [text for name, text in self._notes if name in chosen],
                 "demonstrations": [contrast.demonstration for contrast in mine],
                 "samples": [len(contrast.differences) for contrast in mine],
                 "discarded": [contrast.discarded for contrast in mine],
                 "obstacles": self._obstacles,
                 "loss": solution.loss,
-                "config": dataclasses.asdict(self.config),
+                "config": self.settings.model_dump(),
             },
         )
 
     def _touching(self) -> list[tuple[str, str]]:
-        """Say once for each recording how deep its demonstrations are in something at most."""
-        deepest: dict[str, tuple[Touch, str]] = {}
+        """Return for each recording where its demonstrations are deepest inside something."""
+        deepest: dict[str, Contrast] = {}
         for contrast in self._contrasts:
-            for touch in contrast.touches[:1]:
-                known = deepest.get(contrast.recording)
-                if known is None or touch.depth_m > known[0].depth_m:
-                    deepest[contrast.recording] = touch, contrast.demonstration
-        said = []
-        for name, (touch, demonstration) in deepest.items():
-            text = f"{name}: {touch} as recorded (demonstration {demonstration}); samples may go as deep there"
-            if self.config.collisions is not None and touch.depth_m > self.config.collisions.doubtful_m:
+            known = deepest.get(contrast.recording)
+            if contrast.touches and (known is None or contrast.touches[0].depth_m > known.touches[0].depth_m):
+                deepest[contrast.recording] = contrast
+        notes = []
+        for name, contrast in deepest.items():
+            touch = contrast.touches[0]
+            text = f"{name}: {touch} as recorded (demonstration {contrast.demonstration}); samples may go as deep there"
+            if self.settings.collisions is not None and touch.depth_m > self.settings.collisions.doubtful_m:
                 text += "; check that the scene stands where it stood when this was recorded"
                 _log.warning(text)
-            said.append((name, text))
-        return said
+            notes.append((name, text))
+        return notes
 
-    def _scarce(self) -> list[tuple[str, str]]:
-        """Say where fewer samples were found than wanted."""
-        wanted = self.config.sampling.n_samples
-        said = []
+    def _too_few_samples(self) -> list[tuple[str, str]]:
+        wanted = self.settings.sampling.n_samples
+        notes = []
         for contrast in self._contrasts:
             if (got := len(contrast.differences)) < wanted:
                 text = f"{contrast.recording}: {got} of {wanted} samples for demonstration {contrast.demonstration}, "
                 text += f"{contrast.discarded} collide; it counts less"
                 _log.warning(text)
-                said.append((contrast.recording, text))
-        return said
+                notes.append((contrast.recording, text))
+        return notes
 
     def _bootstrap(self, mine: Sequence[Contrast], solution: PiirlSolution) -> FloatArray:
-        """Draw recordings, not demonstrations: the cuts of one reach are no independent evidence.
+        """Return weights (B, 24) from recordings drawn with replacement; none from one recording.
 
-        One recording alone says nothing about how sure its weights are.
+        Recordings are drawn, not demonstrations: the cuts of one reach are no independent evidence.
         """
-        rng = np.random.default_rng([self.config.seed, 1])
+        rng = np.random.default_rng([self.settings.seed, 1])
         by_recording: dict[str, list[Contrast]] = {}
         for contrast in mine:
             by_recording.setdefault(contrast.recording, []).append(contrast)
         groups = list(by_recording.values())
         if len(groups) < 2:
             return np.zeros((0, N_FEATURES))
-        draws = np.empty((self.config.bootstrap, N_FEATURES))
+        draws = np.empty((self.settings.bootstrap, N_FEATURES))
         for draw in draws:
             some = [contrast for k in rng.integers(len(groups), size=len(groups)) for contrast in groups[k]]
-            draw[:] = learn_weights(some, self.config.piirl, start=solution.weights).weights
+            draw[:] = learn_weights(some, self.settings.piirl, start=solution.weights).weights
         return draws
 
 
@@ -256,7 +193,7 @@ def recording_hash(recording: ReachRecording) -> str:
 
 
 def _left_out(recordings: Sequence[ReachRecording], demos: Sequence[Demonstration]) -> dict[str, str]:
-    """Return why nothing, or not all, of a recording is learned from, by its name; each reason is logged."""
+    """Return why a recording, or a part of it, is not learned from, by its name; each reason is logged."""
     whole = {demo.recording for demo in demos if demo.first_frame == 0}
     parts = [demo.recording for demo in demos]
     found = {}
@@ -270,10 +207,8 @@ def _left_out(recordings: Sequence[ReachRecording], demos: Sequence[Demonstratio
     return found
 
 
-def _learned_all_the_same(
-    recordings: Sequence[ReachRecording], demos: Sequence[Demonstration]
-) -> list[tuple[str, str]]:
-    """Return what speaks against recordings that are learned from because that was asked for."""
+def _unfit_but_used(recordings: Sequence[ReachRecording], demos: Sequence[Demonstration]) -> list[tuple[str, str]]:
+    """Return what is wrong with recordings that are learned from because the settings ask for it."""
     whole = {demo.recording for demo in demos if demo.first_frame == 0}
     return [
         (recording.name, f"{recording.unfit}; learned from all the same")

@@ -15,7 +15,7 @@ from humanpred_ros.reaching.planner import ReachPlanner, ReachPlannerConfig, Sin
 from humanpred_ros.reaching.posture_bounds import BoundsConfig, PostureBounds
 from humanpred_ros.reaching.reach_task import ReachPredictor
 from humanpred_ros.reaching.replanning import Replanned
-from humanpred_ros.reaching.surroundings import ReachScene
+from humanpred_ros.reaching.surroundings import Surroundings
 from humanpred_ros.reaching.variation import posture_variation
 
 #: Noise that STOMP needs of any DoF to work at all.
@@ -50,7 +50,7 @@ def planned_predictor(
     weights: ArrayLike,
     *,
     replanned: bool = False,
-    scene: ReachScene | None = None,
+    scene: Surroundings | None = None,
     config: ReachPlannerConfig | None = None,
     bounds: BoundsConfig | None = None,
 ) -> ReachPredictor:
@@ -59,7 +59,7 @@ def planned_predictor(
     Args:
         recordings: what bounds of the postures are taken from; leave the tested one out.
         model: the human.
-        weights: learned, or of `named_weights`.
+        weights: learned, or of `NAMED_WEIGHTS`.
         replanned: plan again every 0.1 s instead of once.
         scene: table and region; P2's if None.
         config: of the planning.
@@ -79,7 +79,7 @@ def improved_predictor(
     weights: ArrayLike,
     *,
     replanned: bool = False,
-    scene: ReachScene | None = None,
+    scene: Surroundings | None = None,
     config: ImprovedConfig | None = None,
 ) -> ReachPredictor:
     """Return the better predictor; arguments and errors as in `planned_predictor`.
@@ -94,7 +94,7 @@ def improved_planner(
     recordings: Sequence[ReachRecording],
     model: HumanModel,
     weights: ArrayLike,
-    scene: ReachScene | None = None,
+    scene: Surroundings | None = None,
     config: ImprovedConfig | None = None,
 ) -> ReachPlanner:
     """Return the planner of the better predictor."""

@@ -17,19 +17,18 @@ from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.human.chain_points import ChainPoints
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.reaching.body import BodyCapsules
+from humanpred_ros.reaching.body import BodyCapsules, ReachBody
 from humanpred_ros.reaching.cost_terms import (
     CLEARANCE_M,
     OBSTACLE_WEIGHT,
     BodyCost,
     PostureSmoothness,
-    ReachBody,
 )
-from humanpred_ros.reaching.features import LINK_POINTS, N_FEATURES, FeatureConfig, ReachSituation
+from humanpred_ros.reaching.features import LINK_POINTS, N_FEATURES, FeatureSettings, ReachSituation
 from humanpred_ros.reaching.first_guess import FirstGuess, straight_line
 from humanpred_ros.reaching.posture_bounds import PostureBounds
 from humanpred_ros.reaching.reach_task import ReachTask
-from humanpred_ros.reaching.surroundings import ReachScene
+from humanpred_ros.reaching.surroundings import Surroundings
 from humanpred_ros.stomp import iteration_kernels
 from humanpred_ros.stomp.planner import StompConfig, StompPlanner
 from humanpred_ros.stomp.smoothness import smoothness
@@ -49,8 +48,6 @@ class ReachPlannerConfig:
             shrinks such noise until it fits.
         obstacle_weight, clearance_m: of table and partner.
         averaged: a plan is the mean of so many, each with its own chance: what they agree on remains.
-        authors_rollouts: count the posture's features with weight 1 in roll-outs, and with the learned weights only
-            where the best trajectory is chosen, as the authors' code does (facts section 4).
     """
 
     stomp: StompConfig = field(
@@ -62,7 +59,6 @@ class ReachPlannerConfig:
     obstacle_weight: float = OBSTACLE_WEIGHT
     clearance_m: float = CLEARANCE_M
     averaged: int = 1
-    authors_rollouts: bool = False
 
     def __post_init__(self) -> None:
         if self.averaged < 1 or not self.noise_share > 0.0:
@@ -127,7 +123,7 @@ class ReachPlanner:
         model: HumanModel,
         weights: ArrayLike,
         bounds: PostureBounds,
-        scene: ReachScene | None = None,
+        scene: Surroundings | None = None,
         config: ReachPlannerConfig | None = None,
         guess: FirstGuess = straight_line,
     ) -> None:
@@ -136,9 +132,9 @@ class ReachPlanner:
             raise PlanningError(f"reach weights: wanted 0 or more, got {w.min()}")
         self.model, self.bounds, self.guess = model, bounds, guess
         self.weights: FloatArray = frozen(w)  # type: ignore[assignment]
-        self.scene = scene or ReachScene.of_p2()
+        self.scene = scene or Surroundings.of_p2()
         self.config = config or ReachPlannerConfig()
-        self.features = FeatureConfig(n_waypoints=self.config.stomp.n_waypoints)
+        self.features = FeatureSettings(n_waypoints=self.config.stomp.n_waypoints)
         self._body = ReachBody(model)
         self._partner_points = ChainPoints(model, LINK_POINTS)
         self._partner_capsules = BodyCapsules.of(model)
@@ -197,31 +193,13 @@ class ReachPlanner:
             planned = planner.assess(mean, sum(plan.iterations for plan in plans))
         return PlannedReach(planned.waypoints, duration_s, planned.cost, planned.total, planned.iterations)
 
-    def costs(
-        self, q: ArrayLike, duration_s: float, partner: Partner, history: ArrayLike | None = None
-    ) -> dict[str, FloatArray]:
-        """Return what reaches (R, N, J) from one posture cost, (R,) by reason: posture, wrist, partner, obstacle.
-
-        Raises:
-            MotionError: arrays or numbers that do not fit.
-        """
-        n, J = self.config.stomp.n_waypoints, len(self.model.dof_names)
-        reaches = checked("reaches", q, ("R", n, J), error=MotionError)
-        past = None if history is None else checked("history", history, ("H", J), error=MotionError)
-        if len(reaches) == 0 or (reaches[:, 0] != reaches[0, 0]).any():
-            raise MotionError(f"reaches: wanted one or more that start in one posture, got {len(reaches)}")
-        posture, body = self._terms(reaches[0, 0], duration_s, partner, past)
-        shares = {"posture": posture.costs(reaches), **body.shares(reaches)}
-        return {name: values.sum(axis=1, dtype=np.float64) for name, values in shares.items()}
-
     def _terms(
         self, first: FloatArray, duration_s: float, partner: Partner, past: FloatArray | None
     ) -> tuple[PostureSmoothness, BodyCost]:
         cfg, n = self.config, self.config.stomp.n_waypoints
         situation = ReachSituation(duration_s, partner.points_m, past)
-        of_rollouts = np.ones(4) if cfg.authors_rollouts else None
         return (
-            PostureSmoothness(self.weights[:4], duration_s, n, first, past, of_rollouts),
+            PostureSmoothness(self.weights[:4], duration_s, n, first, past),
             BodyCost(
                 self._body, self.weights, situation, n, first, partner.field, cfg.obstacle_weight, cfg.clearance_m,
                 self.features,

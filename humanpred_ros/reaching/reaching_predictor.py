@@ -20,13 +20,13 @@ from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
 from humanpred_ros.occupancy.sampled_futures import SampledFutures, SweepConfig
+from humanpred_ros.reaching.features import NAMED_WEIGHTS
 from humanpred_ros.reaching.futures import ReachFutures, ReachFuturesConfig
-from humanpred_ros.reaching.named_weights import named_weights
 from humanpred_ros.reaching.place_classifier import GoalClassifier
 from humanpred_ros.reaching.places import GoalPlaces
 from humanpred_ros.reaching.progress import ReachProgress
 from humanpred_ros.reaching.reach_model import ReachModel
-from humanpred_ros.reaching.surroundings import ReachScene
+from humanpred_ros.reaching.surroundings import Surroundings
 from humanpred_ros.recognition.classifier import ClassPosterior
 from humanpred_ros.recognition.stream import StreamClassifier
 
@@ -74,7 +74,7 @@ class ReachingPredictor(OccupancyPredictor):
         *,
         onsets: bool = False,
         weights: ArrayLike | None = None,
-        scene: ReachScene | None = None,
+        scene: Surroundings | None = None,
         config: ReachingConfig | None = None,
     ) -> None:
         """Prepare; the first call on a machine compiles, and the first posture need not wait for that.
@@ -104,7 +104,7 @@ class ReachingPredictor(OccupancyPredictor):
         self.config = config or ReachingConfig()
         self._goals = goals
         self._recogniser = StreamClassifier(goals, human=human) if onsets else goals
-        w = named_weights(DEFAULT_WEIGHTS) if weights is None else weights
+        w = NAMED_WEIGHTS[DEFAULT_WEIGHTS] if weights is None else weights
         self._futures = ReachFutures(model, w, scene, self.config.futures)
         self._at_rest = ReachProgress(human)
         self._sampled = SampledFutures(human, grid, T_world_human, self.config.sweep)

@@ -12,9 +12,9 @@ import numpy as np
 
 from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.reaching.features import PADDING
 from humanpred_ros.reaching.planner import PlannedReach, ReachPlanner, resampled
 from humanpred_ros.reaching.reach_task import ReachTask
-from humanpred_ros.reaching.stencils import PADDING
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What a reach has to stay clear of: the table with its boxes, and the partner as capsules (facts section 3)."""
+"""What a reach has to keep clear of: the table with its boxes, and the partner (docs/papers.md, "P2 scene")."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from humanpred_ros.geometry.distance_field import SignedDistanceField, build_dis
 from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
 from humanpred_ros.reaching.cost_kernels import lower_to_capsules
 
-#: Distances above this need not be told apart: clearance plus the thickest body's radius, and what an interpolated
-#: distance may be off.
+#: Larger distances are not told apart: the clearance, the radius of the thickest body, and the interpolation's error.
 CAP_M = 0.35
 #: Cells of P2's distance field.
 RESOLUTION_M = 0.03
@@ -31,18 +30,18 @@ _TABLE_BOXES = (
     ("front_left", (0.23, 0.17, 0.02), (0.12, 0.16, 0.02)),
     ("front_right", (0.23, 0.17, 0.02), (-0.12, 0.16, 0.02)),
 )
-#: Where reaches at that table happen; beyond, the distance at the border stands in.
+#: The region of the reaches at that table; outside, the distance at the border is used.
 _REGION_M = ((0.9, 0.3, 0.6), (2.6, 2.0, 1.9))
-#: And so far around other obstacles.
+#: The region reaches this far beyond other obstacles.
 _AROUND_M = 0.6
 
 
 @dataclass(frozen=True, eq=False)
-class ReachScene:
+class Surroundings:
     """Fixed obstacles in the frame of the recordings, with the distances to them: immutable.
 
     Attributes:
-        obstacles: by name; may be none.
+        obstacles: with a name each; may be none.
         lower_m, upper_m: (3,) corners of the region in which distances are known.
         resolution_m: of the lattice of distances.
 
@@ -58,11 +57,11 @@ class ReachScene:
     def __post_init__(self) -> None:
         object.__setattr__(self, "obstacles", tuple(self.obstacles))
         for name in ("lower_m", "upper_m"):
-            value = checked(f"reach scene: {name}", getattr(self, name), (3,), error=SceneError)
+            value = checked(f"surroundings: {name}", getattr(self, name), (3,), error=SceneError)
             object.__setattr__(self, name, frozen(value))
         if not (self.upper_m > self.lower_m).all() or not 0.0 < self.resolution_m < np.inf:
             raise SceneError(
-                f"reach scene: wanted a region with lower < upper and a positive resolution, got {self.lower_m}, "
+                f"surroundings: wanted a region with lower < upper and a positive resolution, got {self.lower_m}, "
                 f"{self.upper_m} and {self.resolution_m}"
             )
         # Without obstacles one far below keeps the lattice's size; all distances are then the cap.
@@ -73,18 +72,18 @@ class ReachScene:
         object.__setattr__(self, "_field", field)
 
     @classmethod
-    def of_p2(cls) -> ReachScene:
+    def of_p2(cls) -> Surroundings:
         """Return the table of P2's recordings."""
         return _of_p2()
 
     @classmethod
-    def of_obstacles(cls, obstacles: Sequence[Obstacle], T: ArrayLike) -> ReachScene:
-        """Return obstacles moved by a rigid transform (4, 4), as from the world to a tracker's frame, and around them.
+    def of_obstacles(cls, obstacles: Sequence[Obstacle], T: ArrayLike) -> Surroundings:
+        """Return obstacles moved by a rigid transform (4, 4), as from the world to the tracker's frame.
 
         Raises:
             ArrayError: a transform that is not rigid.
         """
-        move = checked("reach scene: transform", T, (4, 4))
+        move = checked("surroundings: transform", T, (4, 4))
         moved = tuple(
             Obstacle(obstacle.name, replace(obstacle.shape, T_world_shape=move @ obstacle.shape.T_world_shape))
             for obstacle in obstacles
@@ -96,22 +95,22 @@ class ReachScene:
         return cls(moved, (centre - half).min(axis=0) - _AROUND_M, (centre + half).max(axis=0) + _AROUND_M)
 
     @classmethod
-    def around_hands(cls, hands_m: ArrayLike) -> ReachScene:
-        """Return the table of P2's recordings if hands (M, 3) come into its region, else where they go without a table.
+    def around_hands(cls, hands_m: ArrayLike) -> Surroundings:
+        """Return P2's table if some of the hands (M, 3) are in its region, else the hands' region without a table.
 
         Raises:
-            SceneError: no hands, or places that are not finite.
+            SceneError: no hands, or positions that are not finite.
         """
-        hands = checked("reach scene: hands", hands_m, ("M", 3), error=SceneError)
+        hands = checked("surroundings: hands", hands_m, ("M", 3), error=SceneError)
         if not len(hands):
-            raise SceneError("reach scene: wanted places of hands, got none")
+            raise SceneError("surroundings: wanted positions of hands, got none")
         lower, upper = np.array(_REGION_M)
         if ((hands > lower) & (hands < upper)).all(axis=1).any():
             return cls.of_p2()
         return cls((), hands.min(axis=0) - _AROUND_M, hands.max(axis=0) + _AROUND_M)
 
     @classmethod
-    def empty(cls) -> ReachScene:
+    def empty(cls) -> Surroundings:
         """Return the region of P2's recordings without a table."""
         return cls((), np.array(_REGION_M[0]), np.array(_REGION_M[1]))
 
@@ -128,20 +127,16 @@ class ReachScene:
         """
         radius = checked("capsules' radii", radius_m, ("K",), error=SceneError)
         ends = checked("capsules' ends", ends_m, (len(radius), 2, 3), error=SceneError)
-        field = self.field
-        values = field.values.copy()
+        values = self.field.values.copy()
         lower_to_capsules(
-            values, field.origin_m.astype(np.float32), np.float32(field.resolution_m), ends.astype(np.float32),
-            radius.astype(np.float32), np.float32(CAP_M),
+            values, self.field.origin_m.astype(np.float32), np.float32(self.field.resolution_m),
+            ends.astype(np.float32), radius.astype(np.float32), np.float32(CAP_M),
         )  # fmt: skip
-        return SignedDistanceField(field.origin_m, field.resolution_m, values)
+        return SignedDistanceField(self.field.origin_m, self.field.resolution_m, values)
 
 
 @lru_cache(maxsize=1)
-def _of_p2() -> ReachScene:
-    return ReachScene(_table(), np.array(_REGION_M[0]), np.array(_REGION_M[1]))
-
-
-def _table() -> tuple[Obstacle, ...]:
+def _of_p2() -> Surroundings:
     T = planar_pose(*_TABLE_PLACE)
-    return tuple(Obstacle(name, Box(T @ planar_pose(*centre), np.array(size))) for name, size, centre in _TABLE_BOXES)
+    table = (Obstacle(name, Box(T @ planar_pose(*centre), np.array(size))) for name, size, centre in _TABLE_BOXES)
+    return Surroundings(tuple(table), np.array(_REGION_M[0]), np.array(_REGION_M[1]))

@@ -19,11 +19,10 @@ from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.motion.resampling import unwrap_angles
 from humanpred_ros.predictors.factory import make_predictor
 from humanpred_ros.predictors.reach_sources import ReachKnowledge, library_of_model, reach_weights
-from humanpred_ros.reaching.features import N_FEATURES
+from humanpred_ros.reaching.features import N_FEATURES, NAMED_WEIGHTS
 from humanpred_ros.reaching.learner import ReachWeights
-from humanpred_ros.reaching.named_weights import NAMED_WEIGHTS
 from humanpred_ros.reaching.places import GoalPlaces
-from humanpred_ros.reaching.weights_file import save_weights
+from humanpred_ros.reaching.weights import save_weights
 from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.recognition.training import TrainedModel, train_model

@@ -11,20 +11,19 @@ from hypothesis import strategies as st
 from paths import shared_data
 from reaching_people import MODEL, recording
 
-from humanpred_ros.errors import UsageError
+from humanpred_ros.errors import SettingsError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.shapes import Box, Cylinder, Obstacle, planar_pose
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
 from humanpred_ros.reaching import collision_kernels as kernels
 from humanpred_ros.reaching.body import MOVING_BODIES, BodyCapsules
-from humanpred_ros.reaching.collisions import CollisionConfig, ReachCollisions
-from humanpred_ros.reaching.demonstrations import Demonstration, demonstration
-from humanpred_ros.reaching.features import FeatureConfig, ReachFeatures
-from humanpred_ros.reaching.stencils import jerk_covariance
-from humanpred_ros.reaching.surroundings import ReachScene
+from humanpred_ros.reaching.collisions import CollisionSettings, ReachCollisions
+from humanpred_ros.reaching.demonstrations import Demonstration, demonstration, smooth_noise
+from humanpred_ros.reaching.features import FeatureSettings, ReachFeatures
+from humanpred_ros.reaching.surroundings import Surroundings
 
 N = 30
-FEATURES = ReachFeatures(MODEL, FeatureConfig(n_waypoints=N))
+FEATURES = ReachFeatures(MODEL, FeatureSettings(n_waypoints=N))
 LOW, HIGH = np.array([0.9, 0.3, 0.6]), np.array([2.6, 2.0, 1.9])
 
 
@@ -34,7 +33,7 @@ def demo(seed: int = 0) -> Demonstration:
 
 def varied(about: Demonstration, count: int, seed: int = 0, deviation: float = 3e-3) -> FloatArray:
     rng = np.random.default_rng(seed)
-    return about.q + deviation * jerk_covariance(N).draw(rng, (count, 23))
+    return about.q + deviation * smooth_noise(rng, count, N, 23)
 
 
 def along(ends: FloatArray, count: int = 401) -> FloatArray:
@@ -82,10 +81,10 @@ def distances(
 def test_samples_that_collide_are_those_whose_bodies_are_in_something(partner: bool) -> None:
     """Once more in plain words, without lattice, bounds or early ends."""
     about = demo()
-    config = CollisionConfig(partner=partner)
-    found = ReachCollisions(MODEL, None, config).beside(about)
+    config = CollisionSettings(partner=partner)
+    found = ReachCollisions(MODEL, None, config).beside(about.q, about.partner)
     samples = varied(about, 30, deviation=6e-3)
-    scene, moving, beside = ReachScene.of_p2(), BodyCapsules.of(MODEL, MOVING_BODIES), BodyCapsules.of(MODEL)
+    scene, moving, beside = Surroundings.of_p2(), BodyCapsules.of(MODEL, MOVING_BODIES), BodyCapsules.of(MODEL)
     assert about.partner is not None
     theirs = along(beside.placed(MODEL, about.partner), 15).reshape(-1, 3)
     thick = np.repeat(beside.radius_m, 15)
@@ -105,7 +104,7 @@ def test_samples_that_collide_are_those_whose_bodies_are_in_something(partner: b
 
     allowed = np.minimum(least(about.q) - config.slack_m, 0.0)
     deeper = np.array([(least(q) - allowed).min() for q in samples])
-    got = found(samples)
+    got = found.of(samples)
     certain = np.abs(deeper) > 3e-3  # points on bones lie up to 2 cm apart
     assert certain.mean() > 0.8
     np.testing.assert_array_equal(got[certain], (deeper < 0.0)[certain])
@@ -118,40 +117,47 @@ def test_what_was_done_is_never_impossible(seed: int) -> None:
     about = demo(seed)
     rng = np.random.default_rng(seed)
     place = hand_path(about.q)[rng.integers(N)] + rng.normal(scale=0.05, size=3)
-    inside = ReachScene((Obstacle("crate", Box(planar_pose(*place), rng.uniform(0.02, 0.4, 3))),), LOW, HIGH)
+    inside = Surroundings((Obstacle("crate", Box(planar_pose(*place), rng.uniform(0.02, 0.4, 3))),), LOW, HIGH)
     for scene in (None, inside):
-        assert not ReachCollisions(MODEL, scene).beside(about)(about.q[None]).any()
+        assert not ReachCollisions(MODEL, scene).beside(about.q, about.partner).of(about.q[None]).any()
 
 
-def crate(about: Demonstration, size_m: float = 0.1) -> ReachScene:
+def crate(about: Demonstration, size_m: float = 0.1) -> Surroundings:
     """A box around where the hand is in the middle of the reach."""
     place = hand_path(about.q)[N // 2]
-    return ReachScene((Obstacle("crate", Box(planar_pose(*place), np.full(3, size_m))),), LOW, HIGH)
+    return Surroundings((Obstacle("crate", Box(planar_pose(*place), np.full(3, size_m))),), LOW, HIGH)
 
 
 def test_where_a_demonstration_is_in_something_is_told() -> None:
     about = demo()
-    found = ReachCollisions(MODEL, crate(about), CollisionConfig(partner=False)).beside(about)
+    found = ReachCollisions(MODEL, crate(about), CollisionSettings(partner=False)).beside(about.q, about.partner)
     deepest = found.touches[0]
     assert (deepest.body, deepest.obstacle) == ("right_hand", "crate")
     assert deepest.depth_m > 0.04
     assert str(deepest).startswith("right hand ")
     assert str(deepest).endswith(" cm in crate")
     assert [touch.depth_m for touch in found.touches] == sorted((t.depth_m for t in found.touches), reverse=True)
-    assert ReachCollisions(MODEL, ReachScene.empty(), CollisionConfig(partner=False)).beside(about).touches == ()
+    assert (
+        ReachCollisions(MODEL, Surroundings.empty(), CollisionSettings(partner=False))
+        .beside(about.q, about.partner)
+        .touches
+        == ()
+    )
 
 
 def test_a_sample_may_go_as_deep_as_the_demonstration_and_no_deeper() -> None:
     about = demo()
     height = 2.0 * float(hand_path(about.q)[:, 2].min())  # the palm comes down to its top
-    scene = ReachScene((Obstacle("floor", Box(planar_pose(1.8, 1.2, 0.0), np.array([2.0, 2.0, height]))),), LOW, HIGH)
-    found = ReachCollisions(MODEL, scene, CollisionConfig(partner=False, slack_m=0.005)).beside(about)
+    scene = Surroundings((Obstacle("floor", Box(planar_pose(1.8, 1.2, 0.0), np.array([2.0, 2.0, height]))),), LOW, HIGH)
+    found = ReachCollisions(MODEL, scene, CollisionSettings(partner=False, slack_m=0.005)).beside(
+        about.q, about.partner
+    )
     up = MODEL.dof_names.index("PelvisTransZ")
     assert found.touches[0].body == "right_hand"
     for shift_m, collides in ((0.02, False), (0.0, False), (-0.004, False), (-0.006, True), (-0.1, True)):
         moved = about.q.copy()
         moved[:, up] += shift_m
-        assert found(moved[None]).item() is collides
+        assert found.of(moved[None]).item() is collides
 
 
 def test_boards_thinner_than_the_planners_lattice_are_seen() -> None:
@@ -159,12 +165,12 @@ def test_boards_thinner_than_the_planners_lattice_are_seen() -> None:
     place = hand_path(about.q)[N // 2]
     board = Box(planar_pose(place[0], place[1], place[2] - 0.2), np.array([0.3, 0.3, 0.01]))
     found = ReachCollisions(
-        MODEL, ReachScene((Obstacle("board", board),), LOW, HIGH), CollisionConfig(partner=False)
-    ).beside(about)
+        MODEL, Surroundings((Obstacle("board", board),), LOW, HIGH), CollisionSettings(partner=False)
+    ).beside(about.q, about.partner)
     lowered = about.q.copy()
     lowered[:, MODEL.dof_names.index("PelvisTransZ")] -= 0.2
-    assert found(lowered[None]).all()
-    assert "board" in found.usual_touch(lowered[None])
+    assert found.of(lowered[None]).all()
+    assert "board" in found.most_frequent(lowered[None])
 
 
 def test_partner_is_where_the_demonstration_begins() -> None:
@@ -173,23 +179,25 @@ def test_partner_is_where_the_demonstration_begins() -> None:
     np.testing.assert_array_equal(about.partner, recording(0).passive.q[0])
     toward = about.q.copy()
     toward[:, MODEL.dof_names.index("PelvisTransX")] -= 0.5  # into the partner, who is 0.7 m away
-    assert ReachCollisions(MODEL, ReachScene.empty()).beside(about)(toward[None]).all()
+    assert ReachCollisions(MODEL, Surroundings.empty()).beside(about.q, about.partner).of(toward[None]).all()
     alone = dataclasses.replace(about, partner=None)
-    assert not ReachCollisions(MODEL, ReachScene.empty()).beside(alone)(toward[None]).any()
-    blind = ReachCollisions(MODEL, ReachScene.empty(), CollisionConfig(partner=False))
-    assert not blind.beside(about)(toward[None]).any()
-    assert "partner" in ReachCollisions(MODEL, ReachScene.empty()).beside(about).usual_touch(toward[None])
-    assert blind.beside(about).usual_touch(toward[None]) == ""
+    assert not ReachCollisions(MODEL, Surroundings.empty()).beside(alone.q, alone.partner).of(toward[None]).any()
+    blind = ReachCollisions(MODEL, Surroundings.empty(), CollisionSettings(partner=False))
+    assert not blind.beside(about.q, about.partner).of(toward[None]).any()
+    assert "partner" in ReachCollisions(MODEL, Surroundings.empty()).beside(about.q, about.partner).most_frequent(
+        toward[None]
+    )
+    assert blind.beside(about.q, about.partner).most_frequent(toward[None]) == ""
 
 
 def test_obstacles_outside_the_region_of_the_lattice_count() -> None:
     about = demo()
-    far = ReachScene(crate(about).obstacles, np.array([0.0, 0.0, 0.0]), np.array([0.5, 0.5, 0.5]))
-    found = ReachCollisions(MODEL, far, CollisionConfig(partner=False)).beside(about)
-    near = ReachCollisions(MODEL, crate(about), CollisionConfig(partner=False)).beside(about)
+    far = Surroundings(crate(about).obstacles, np.array([0.0, 0.0, 0.0]), np.array([0.5, 0.5, 0.5]))
+    found = ReachCollisions(MODEL, far, CollisionSettings(partner=False)).beside(about.q, about.partner)
+    near = ReachCollisions(MODEL, crate(about), CollisionSettings(partner=False)).beside(about.q, about.partner)
     samples = varied(about, 40)
-    np.testing.assert_array_equal(found(samples), near(samples))
-    assert near(samples).any()
+    np.testing.assert_array_equal(found.of(samples), near.of(samples))
+    assert near.of(samples).any()
 
 
 def test_p2s_recordings_touch_by_centimetres_only() -> None:
@@ -197,8 +205,9 @@ def test_p2s_recordings_touch_by_centimetres_only() -> None:
     collisions = ReachCollisions(MODEL)
     touching = {}
     for entry in load_reach_recordings(shared_data("icra2015/demos")):
-        found = collisions.beside(demonstration(entry, features))
-        assert not found(demonstration(entry, features).q[None]).any()
+        about = demonstration(entry, features)
+        found = collisions.beside(about.q, about.partner)
+        assert not found.of(about.q[None]).any()
         touching[entry.name] = max((touch.depth_m for touch in found.touches), default=0.0)
     assert {name for name, depth in touching.items() if depth > 0.005} == {"0446-0578", "1537-1608"}
     assert max(touching.values()) < 0.03
@@ -206,5 +215,5 @@ def test_p2s_recordings_touch_by_centimetres_only() -> None:
 
 @pytest.mark.parametrize("bad", [{"slack_m": -0.1}, {"doubtful_m": -1.0}, {"slack_m": np.nan}])
 def test_impossible_settings_are_refused(bad: dict[str, float]) -> None:
-    with pytest.raises(UsageError, match="collisions"):
-        CollisionConfig(**bad)  # type: ignore[arg-type]
+    with pytest.raises(SettingsError, match=next(iter(bad))):
+        CollisionSettings(**bad)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""The cost terms of a reach are the features times their weights, and the obstacle potential of the facts."""
+"""The cost terms of a reach are the features times their weights, and the obstacle potential of docs/papers.md."""
 
 from __future__ import annotations
 
@@ -9,15 +9,18 @@ from reaching_people import GOAL, MODEL, PARTNER, START, reach
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.distance_field import SignedDistanceField
-from humanpred_ros.reaching.cost_terms import BodyCost, PostureSmoothness, ReachBody
+from humanpred_ros.reaching.body import ReachBody
+from humanpred_ros.reaching.cost_terms import BodyCost, PostureSmoothness
 from humanpred_ros.reaching.features import LINK_POINTS, N_FEATURES, ReachFeatures, ReachSituation
-from humanpred_ros.reaching.surroundings import ReachScene
+from humanpred_ros.reaching.surroundings import Surroundings
 
 N = 100
 FEATURES = ReachFeatures(MODEL)
 BODY = ReachBody(MODEL)
-SCENE = ReachScene.of_p2()
+SCENE = Surroundings.of_p2()
 NO_WEIGHTS = np.zeros(N_FEATURES)
+#: The features of the wrist.
+WRIST = np.arange(N_FEATURES) < 8
 #: Weights under which every feature matters about as much.
 EVEN = 1.0 / np.array([0.1, 0.1, 3e-3, 1e-3, 0.1, 0.05, 2e-5, 5e-5, *([0.3] * 16)])
 
@@ -49,10 +52,10 @@ def test_terms_add_up_to_the_features(with_history: bool) -> None:
     posture, body = terms(EVEN, around, START)
     wanted = FEATURES.waypoint_values(q, around) * EVEN
     np.testing.assert_allclose(posture.costs(q), wanted[..., :4].sum(axis=2), rtol=2e-4, atol=1e-6)
-    shares = body.shares(q)
-    np.testing.assert_allclose(shares["wrist"].sum(axis=1), wanted[..., 4:8].sum(axis=(1, 2)), rtol=2e-3)
-    np.testing.assert_allclose(shares["partner"], wanted[..., 8:].sum(axis=2), rtol=2e-5, atol=1e-6)
-    assert not shares["obstacle"].any()
+    smooth, close = (terms(np.where(mask, EVEN, 0.0), around, START)[1].costs(q) for mask in (WRIST, ~WRIST))
+    np.testing.assert_allclose(smooth.sum(axis=1), wanted[..., 4:8].sum(axis=(1, 2)), rtol=2e-3)
+    np.testing.assert_allclose(close, wanted[..., 8:].sum(axis=2), rtol=2e-5, atol=1e-6)
+    np.testing.assert_allclose(body.costs(q), smooth + close, rtol=1e-5)
 
 
 @pytest.mark.parametrize("k", range(N_FEATURES))
@@ -73,15 +76,6 @@ def test_history_changes_the_first_waypoints_only() -> None:
     moving = PostureSmoothness(EVEN[:4], 1.3, N, START, history(q)).joint_costs(q)
     assert (alone[:, 0] != moving[:, 0]).any()
     np.testing.assert_array_equal(alone[:, 2:], moving[:, 2:])
-
-
-def test_rollouts_may_be_weighted_otherwise_than_the_noiseless_trajectory() -> None:
-    q = reaches(3)
-    plain = PostureSmoothness(EVEN[:4], 1.3, N, START)
-    ones = PostureSmoothness(np.ones(4), 1.3, N, START)
-    mixed = PostureSmoothness(EVEN[:4], 1.3, N, START, rollout_weights=np.ones(4)).joint_costs(q)
-    np.testing.assert_array_equal(mixed[-1], plain.joint_costs(q)[-1])
-    np.testing.assert_array_equal(mixed[:-1], ones.joint_costs(q)[:-1])
 
 
 def obstacle_oracle(q: FloatArray, field: SignedDistanceField, weight: float, clearance_m: float) -> FloatArray:
@@ -121,13 +115,13 @@ def test_body_points_are_where_the_model_has_them() -> None:
     np.testing.assert_allclose(alone[BODY.feature_points], points[BODY.all_points], atol=1e-6)
 
 
-def test_obstacles_do_not_change_wrist_and_partner() -> None:
+def test_obstacles_are_added_to_wrist_and_partner() -> None:
     q = reaches()
     field = SCENE.field_with(np.zeros((0, 2, 3)), [])
-    without = BodyCost(BODY, EVEN, situation(), N, START).shares(q)
-    beside = BodyCost(BODY, EVEN, situation(), N, START, field).shares(q)
-    for name in ("wrist", "partner"):
-        np.testing.assert_allclose(beside[name], without[name], rtol=1e-2, atol=1e-4)
+    without = BodyCost(BODY, EVEN, situation(), N, START).costs(q)
+    alone = BodyCost(BODY, NO_WEIGHTS, situation(), N, START, field).costs(q)
+    together = BodyCost(BODY, EVEN, situation(), N, START, field).costs(q)
+    np.testing.assert_allclose(together, without + alone, rtol=1e-2, atol=1e-4)
 
 
 def test_impossible_settings_are_refused() -> None:

@@ -11,23 +11,23 @@ from paths import shared_data
 from reaching_people import MODEL, recording
 
 from humanpred_ros import __version__
-from humanpred_ros.errors import HumanModelError, MotionError, UsageError
+from humanpred_ros.errors import HumanModelError, MotionError, SettingsError, UsageError
 from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import Jump, ReachRecording, load_reach_recordings
-from humanpred_ros.reaching.collisions import CollisionConfig
-from humanpred_ros.reaching.demonstrations import SplittingConfig
-from humanpred_ros.reaching.features import N_FEATURES, FeatureConfig
-from humanpred_ros.reaching.learner import LearningConfig, ReachLearner, ReachWeights, recording_hash
-from humanpred_ros.reaching.piirl import PiirlConfig
-from humanpred_ros.reaching.sampling import SamplingConfig
-from humanpred_ros.reaching.surroundings import ReachScene
+from humanpred_ros.reaching.collisions import CollisionSettings
+from humanpred_ros.reaching.demonstrations import CutSettings, SamplingSettings
+from humanpred_ros.reaching.features import N_FEATURES, FeatureSettings
+from humanpred_ros.reaching.learner import LearningSettings, ReachLearner, recording_hash
+from humanpred_ros.reaching.piirl import PiirlSettings
+from humanpred_ros.reaching.surroundings import Surroundings
+from humanpred_ros.reaching.weights import ReachWeights
 
-CONFIG = LearningConfig(
-    features=FeatureConfig(n_waypoints=30),
-    splitting=SplittingConfig(every_s=0.2, least_s=0.6),
-    sampling=SamplingConfig(n_samples=40, deviation=5e-3),
-    piirl=PiirlConfig(normalised=True, with_demonstration=True, l2=0.1),
+CONFIG = LearningSettings(
+    features=FeatureSettings(n_waypoints=30),
+    splitting=CutSettings(every_s=0.2, least_s=0.6),
+    sampling=SamplingSettings(n_samples=40, deviation=5e-3),
+    piirl=PiirlSettings(normalised=True, with_demonstration=True, l2=0.1),
     bootstrap=5,
 )
 RECORDINGS = [recording(seed) for seed in range(3)]
@@ -91,12 +91,12 @@ def test_the_same_seed_gives_the_same_weights(weights: ReachWeights) -> None:
     again = ReachLearner(RECORDINGS, MODEL, CONFIG).learn()
     np.testing.assert_array_equal(again.weights, weights.weights)
     np.testing.assert_array_equal(again.bootstrap, weights.bootstrap)
-    other = ReachLearner(RECORDINGS, MODEL, dataclasses.replace(CONFIG, seed=1)).learn(bootstrap=False)
+    other = ReachLearner(RECORDINGS, MODEL, CONFIG.replaced(seed=1)).learn(bootstrap=False)
     assert (other.weights != weights.weights).any()
 
 
 def test_weights_at_their_bound_are_named() -> None:
-    config = dataclasses.replace(CONFIG, piirl=PiirlConfig(upper=1e-3), bootstrap=0)
+    config = CONFIG.replaced(piirl=PiirlSettings(upper=1e-3), bootstrap=0)
     found = ReachLearner(RECORDINGS[:1], MODEL, config).learn()
     assert "posture velocity" in found.at_upper
 
@@ -118,7 +118,7 @@ def test_what_is_left_out_is_logged_and_said_where_nothing_is_left(caplog: pytes
     for keep in (False, True):
         caplog.clear()
         with caplog.at_level(logging.WARNING):
-            learner = ReachLearner([short], MODEL, dataclasses.replace(CONFIG, keep_unfit=keep))
+            learner = ReachLearner([short], MODEL, CONFIG.replaced(keep_unfit=keep))
         (text,) = learner.notes
         assert text.startswith("made_up_5: 6 frames, the jerk's difference needs 7")
         assert text in caplog.messages
@@ -129,7 +129,7 @@ def test_what_is_left_out_is_logged_and_said_where_nothing_is_left(caplog: pytes
 
 
 def test_who_asks_for_it_learns_from_jumps_and_is_told() -> None:
-    learner = ReachLearner(RECORDINGS, MODEL, dataclasses.replace(CONFIG, keep_unfit=True))
+    learner = ReachLearner(RECORDINGS, MODEL, CONFIG.replaced(keep_unfit=True))
     assert learner.names == tuple(entry.name for entry in RECORDINGS)
     (text,) = [note for note in learner.notes if note.endswith("learned from all the same")]
     assert text.startswith("made_up_3: the reaching person's right wrist jumps at frame 95")
@@ -152,7 +152,7 @@ def test_notes_find_their_recording_whatever_its_name() -> None:
 
 
 def test_samples_of_a_recording_do_not_depend_on_those_after_it() -> None:
-    few = dataclasses.replace(CONFIG, splitting=None)
+    few = CONFIG.replaced(splitting=None)
     alone, beside = (ReachLearner(RECORDINGS[:n], MODEL, few) for n in (1, 3))
     np.testing.assert_array_equal(*(each.learn(["made_up_0"]).weights for each in (alone, beside)))
 
@@ -165,23 +165,23 @@ def test_what_comes_after_a_jump_is_learned_from_and_said() -> None:
     assert "later part" in learner.notes[0]
 
 
-def crate(entry: ReachRecording, size_m: float = 0.15) -> ReachScene:
+def crate(entry: ReachRecording, size_m: float = 0.15) -> Surroundings:
     """A box around where the hand is in the middle of the reach."""
     place = MODEL.forward(entry.active.q)["right_palm"][len(entry.active) // 2]
     box = Box(planar_pose(*place), np.full(3, size_m))
-    return ReachScene((Obstacle("crate", box),), np.array([0.9, 0.3, 0.6]), np.array([2.6, 2.0, 1.9]))
+    return Surroundings((Obstacle("crate", box),), np.array([0.9, 0.3, 0.6]), np.array([2.6, 2.0, 1.9]))
 
 
 def test_colliding_samples_are_discarded_and_counted() -> None:
     one = RECORDINGS[0]
     beside = dataclasses.replace(crate(one).obstacles[0].shape, T_world_shape=planar_pose(1.75, 1.15, 1.05))
-    scene = ReachScene((Obstacle("crate", beside),), np.array([0.9, 0.3, 0.6]), np.array([2.6, 2.0, 1.9]))
-    config = dataclasses.replace(CONFIG, splitting=None, bootstrap=0)
+    scene = Surroundings((Obstacle("crate", beside),), np.array([0.9, 0.3, 0.6]), np.array([2.6, 2.0, 1.9]))
+    config = CONFIG.replaced(splitting=None, bootstrap=0)
     weights = ReachLearner([one], MODEL, config, scene).learn()
     (discarded,) = weights.provenance["discarded"]
     assert discarded > 5
     assert weights.provenance["samples"] == [40]
-    blind = ReachLearner([one], MODEL, dataclasses.replace(config, collisions=None), scene).learn()
+    blind = ReachLearner([one], MODEL, config.replaced(collisions=None), scene).learn()
     assert blind.provenance["discarded"] == [0]
     assert (blind.weights != weights.weights).any()
 
@@ -197,27 +197,27 @@ def test_a_demonstration_that_is_in_something_is_named_and_learned_from(caplog: 
     assert text not in learner.learn(["made_up_1"], bootstrap=False).provenance["notes"]
 
 
-def narrow(gap_m: float) -> ReachScene:
+def narrow(gap_m: float) -> Surroundings:
     """Floor and ceiling that leave the hand of the first recording so much room."""
     heights = MODEL.forward(RECORDINGS[0].active.q)["right_palm"][:, 2]
     low, high = float(heights.min()) - 0.05 - gap_m, float(heights.max()) + 0.05 + gap_m
     size = np.array([400.0, 400.0, 100.0])
     floor, ceiling = (Box(planar_pose(1.8, 1.6, z), size) for z in (low - 50.0, high + 50.0))
-    return ReachScene(
+    return Surroundings(
         (Obstacle("floor", floor), Obstacle("ceiling", ceiling)), np.array([0.9, 0.3, 0.6]), np.array([2.6, 2.0, 1.9])
     )
 
 
 def test_if_all_samples_collide_the_recording_and_the_reason_are_named() -> None:
-    wild = dataclasses.replace(CONFIG, sampling=SamplingConfig(n_samples=20, deviation=0.1, attempts=3))
+    wild = CONFIG.replaced(sampling=SamplingSettings(n_samples=20, deviation=0.1, attempts=3))
     with pytest.raises(MotionError, match=r"made_up_0.*all 3 x 20 do, most with .* into .*(floor|ceiling|partner)"):
         ReachLearner(RECORDINGS[:1], MODEL, wild, narrow(0.01))
 
 
 def test_if_samples_are_lacking_the_recording_is_named(caplog: pytest.LogCaptureFixture) -> None:
-    few = dataclasses.replace(
-        CONFIG, splitting=None, sampling=SamplingConfig(n_samples=40, deviation=2e-2, attempts=1),
-        collisions=CollisionConfig(partner=False),
+    few = CONFIG.replaced(
+        splitting=None, sampling=SamplingSettings(n_samples=40, deviation=2e-2, attempts=1),
+        collisions=CollisionSettings(partner=False),
     )  # fmt: skip
     with caplog.at_level(logging.WARNING):
         learner = ReachLearner(RECORDINGS[:1], MODEL, few, crate(RECORDINGS[0]))
@@ -229,8 +229,8 @@ def test_if_samples_are_lacking_the_recording_is_named(caplog: pytest.LogCapture
 
 @pytest.mark.parametrize("bad", [{"bootstrap": -1}, {"seed": -1}])
 def test_impossible_settings_are_refused(bad: dict[str, int]) -> None:
-    with pytest.raises(UsageError, match="learning"):
-        LearningConfig(**bad)  # type: ignore[arg-type]
+    with pytest.raises(SettingsError, match=next(iter(bad))):
+        LearningSettings(**bad)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -247,9 +247,9 @@ def test_a_third_of_the_papers_samples_run_into_the_table_and_half_of_all_into_s
     recordings = load_reach_recordings(shared_data("icra2015/demos"))
     shares = []
     for partner in (False, True):
-        config = LearningConfig(
-            splitting=None, keep_unfit=True, sampling=SamplingConfig(n_samples=60),
-            collisions=CollisionConfig(partner=partner), bootstrap=0,
+        config = LearningSettings(
+            splitting=None, keep_unfit=True, sampling=SamplingSettings(n_samples=60),
+            collisions=CollisionSettings(partner=partner), bootstrap=0,
         )  # fmt: skip
         found = ReachLearner(recordings, MODEL, config).learn().provenance
         assert found["samples"] == [60] * 7

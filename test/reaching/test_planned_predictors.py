@@ -12,7 +12,7 @@ from reaching_people import MODEL, recording
 from humanpred_ros.errors import MotionError, PlanningError
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
 from humanpred_ros.reaching.distances import ReachMetric
-from humanpred_ros.reaching.named_weights import named_weights
+from humanpred_ros.reaching.features import NAMED_WEIGHTS
 from humanpred_ros.reaching.planned_predictors import (
     ImprovedConfig,
     improved_planner,
@@ -26,7 +26,7 @@ from humanpred_ros.reaching.replanning import Replanned
 
 RECORDINGS = [recording(seed, 31) for seed in range(3)]
 FAST = ReachPlannerConfig(stomp=dataclasses.replace(ReachPlannerConfig().stomp, n_iterations=5))
-WEIGHTS = named_weights("authors_dynamic")
+WEIGHTS = NAMED_WEIGHTS["authors_dynamic"]
 
 
 @pytest.mark.parametrize(("replanned", "kind"), [(False, SingleShot), (True, Replanned)])
@@ -71,7 +71,7 @@ def test_on_the_interference_case_p2s_trunk_drifts_to_where_others_stood() -> No
     k, task = MODEL.dof_index["PelvisTransX"], ReachTask.of(case)
     low, beyond, joint_m = min(task.start[k], task.goal[k]), [], []
     for bounds in (None, BoundsConfig(relative=True)):
-        predictor = planned_predictor(demos, MODEL, named_weights("authors_static"), bounds=bounds)
+        predictor = planned_predictor(demos, MODEL, NAMED_WEIGHTS["authors_static"], bounds=bounds)
         q = predictor.predict(task, np.random.default_rng(0))
         beyond.append(float(low - q[:, k].min()))
         joint_m.append(ReachMetric(MODEL).between(q, case.active.q).joint_m)
@@ -104,7 +104,7 @@ def test_on_p2s_recordings_it_is_better_than_the_authors() -> None:
     metric, found = ReachMetric(MODEL), []
     for left_out in recordings:
         others = [r for r in recordings if r.name != left_out.name]
-        predictor = improved_predictor(others, MODEL, named_weights("authors_static"))
+        predictor = improved_predictor(others, MODEL, NAMED_WEIGHTS["authors_static"])
         q = predictor.predict(ReachTask.of(left_out), np.random.default_rng(0))
         d = metric.between(q, left_out.active.q)
         found.append((d.joint_m, d.task_as_coded_m, d.task_m))

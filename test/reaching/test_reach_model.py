@@ -14,14 +14,14 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching.end_postures import HAND
+from humanpred_ros.reaching.features import NAMED_WEIGHTS
 from humanpred_ros.reaching.futures import ReachFutures, ReachFuturesConfig
-from humanpred_ros.reaching.named_weights import named_weights
 from humanpred_ros.reaching.progress import ReachProgress
 from humanpred_ros.reaching.reach_model import ReachModel
-from humanpred_ros.reaching.surroundings import ReachScene
+from humanpred_ros.reaching.surroundings import Surroundings
 
 HUMAN = HumanModel.kinect12()
-WEIGHTS = named_weights("authors_dynamic")
+WEIGHTS = NAMED_WEIGHTS["authors_dynamic"]
 
 
 @cache
@@ -113,7 +113,7 @@ def test_what_stands_in_the_way_is_avoided_by_the_planner() -> None:
     middle = middle[len(middle) // 2]
     # A post just beside the way, narrower than the way is long.
     post = Obstacle("post", Box(planar_pose(middle[0], middle[1] - 0.06, middle[2], 0.0), np.array([0.1, 0.1, 0.3])))
-    scene = ReachScene((post,), middle - 1.0, middle + 1.0)
+    scene = Surroundings((post,), middle - 1.0, middle + 1.0)
     config = ReachFuturesConfig(n_samples=32)
     avoided = hands(ReachFutures(learned(), WEIGHTS, scene, config).towards(progress, place))
     free = hands(ReachFutures(learned(), WEIGHTS, None, config).towards(progress, place))

@@ -15,9 +15,9 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
 from humanpred_ros.reaching.distances import ReachMetric
-from humanpred_ros.reaching.features import ReachFeatures, ReachSituation
-from humanpred_ros.reaching.named_weights import NAMED_WEIGHTS, named_weights
+from humanpred_ros.reaching.features import NAMED_WEIGHTS, ReachFeatures, ReachSituation
 from humanpred_ros.reaching.planner import (
+    Partner,
     ReachPlanner,
     ReachPlannerConfig,
     SingleShot,
@@ -25,17 +25,17 @@ from humanpred_ros.reaching.planner import (
 )
 from humanpred_ros.reaching.posture_bounds import PostureBounds
 from humanpred_ros.reaching.reach_task import ReachTask
-from humanpred_ros.reaching.surroundings import ReachScene
+from humanpred_ros.reaching.surroundings import Surroundings
 from humanpred_ros.stomp.smoothness import accelerations_matrix
 
 RECORDINGS = [recording(seed) for seed in range(3)]
 BOUNDS = PostureBounds.from_recordings(RECORDINGS, MODEL)
 FAST = ReachPlannerConfig(stomp=dataclasses.replace(ReachPlannerConfig().stomp, n_iterations=20))
-SCENE = ReachScene.of_p2()
+SCENE = Surroundings.of_p2()
 
 
 def planner(name: str = "authors_static", config: ReachPlannerConfig = FAST) -> ReachPlanner:
-    return ReachPlanner(MODEL, named_weights(name), BOUNDS, SCENE, config)
+    return ReachPlanner(MODEL, NAMED_WEIGHTS[name], BOUNDS, SCENE, config)
 
 
 def line(start: np.ndarray, goal: np.ndarray) -> np.ndarray:
@@ -43,12 +43,16 @@ def line(start: np.ndarray, goal: np.ndarray) -> np.ndarray:
     return (1.0 - way) * start + way * goal
 
 
+def costs(some: ReachPlanner, q: np.ndarray, beside: Partner, history: np.ndarray | None = None) -> list[float]:
+    """Return what a reach costs by posture and by body."""
+    return [float(term.costs(q[None]).sum(dtype=float)) for term in some._terms(q[0], 1.0, beside, history)]
+
+
 def test_a_plan_costs_less_than_the_line_and_keeps_ends_and_bounds() -> None:
     some = planner()
     beside = some.partner(PARTNER)
     reach = some.plan(START, GOAL, 1.0, beside, np.random.default_rng(0))
-    before = sum(float(v[0]) for v in some.costs(line(START, GOAL)[None], 1.0, beside).values())
-    assert reach.total < 0.97 * before
+    assert reach.total < 0.97 * sum(costs(some, line(START, GOAL), beside))
     np.testing.assert_array_equal(reach.q[[0, -1]], [START, GOAL])
     lower, upper = BOUNDS.around(START, GOAL)
     assert (reach.q >= lower - 1e-6).all()
@@ -56,14 +60,14 @@ def test_a_plan_costs_less_than_the_line_and_keeps_ends_and_bounds() -> None:
 
 
 def test_costs_are_those_of_the_features() -> None:
-    some = planner()
+    some = ReachPlanner(
+        MODEL, NAMED_WEIGHTS["authors_static"], BOUNDS, SCENE, dataclasses.replace(FAST, obstacle_weight=0.0)
+    )
     beside = some.partner(PARTNER)
     reach = some.plan(START, GOAL, 1.0, beside, np.random.default_rng(0))
-    shares = some.costs(reach.q[None], 1.0, beside)
     features = ReachFeatures(MODEL).values(reach.q, ReachSituation(1.0, beside.points_m))
-    without = sum(float(shares[name][0]) for name in ("posture", "wrist", "partner"))
-    assert without == pytest.approx(float(features @ some.weights), rel=1e-4)
-    assert without + shares["obstacle"][0] == pytest.approx(reach.total, rel=1e-4)
+    assert sum(costs(some, reach.q, beside)) == pytest.approx(float(features @ some.weights), rel=1e-4)
+    assert reach.total == pytest.approx(float(features @ some.weights), rel=1e-4)
 
 
 def test_the_same_seed_gives_the_same_reach_and_another_gives_another() -> None:
@@ -99,10 +103,8 @@ def test_history_bends_the_start_of_a_reach() -> None:
     some = planner("authors_static")
     beside = some.partner(PARTNER)
     moving = START + 0.02 * np.arange(-6, 0)[:, None] * (GOAL - START)
-    still, going = (
-        some.costs(line(START, GOAL)[None], 1.0, beside, history=past)["posture"] for past in (None, moving)
-    )
-    assert going[0] != still[0]
+    still, going = (costs(some, line(START, GOAL), beside, past)[0] for past in (None, moving))
+    assert going != still
 
 
 def test_times_between_waypoints_are_interpolated() -> None:
@@ -144,11 +146,10 @@ def test_a_prediction_does_not_look_at_the_partners_future() -> None:
 
 
 def test_without_a_partner_nothing_is_kept_away_from() -> None:
-    some = ReachPlanner(MODEL, named_weights("baseline_1"), BOUNDS, ReachScene.empty(), FAST)
-    shares = some.costs(line(START, GOAL)[None], 1.0, some.nobody())
-    assert shares["partner"][0] == 0.0
-    assert shares["obstacle"][0] == 0.0
-    assert shares["posture"][0] > 0.0
+    some = ReachPlanner(MODEL, NAMED_WEIGHTS["baseline_1"], BOUNDS, Surroundings.empty(), FAST)
+    posture, body = costs(some, line(START, GOAL), some.nobody())
+    assert body == 0.0  # baseline_1 has no weight on the wrist
+    assert posture > 0.0
 
 
 def test_the_kinects_human_is_planned_by_the_same_code_and_planners_travel_to_other_processes() -> None:
@@ -156,7 +157,7 @@ def test_the_kinects_human_is_planned_by_the_same_code_and_planners_travel_to_ot
     start = np.array([1.5, 1.0, 1.0, 0.3, 0.1, 0.1, 0.1, 0.2, 0.3, 0.2, 0.3, 0.4])
     goal = start + 0.1
     bounds = PostureBounds(start - 0.5, goal + 0.5, np.zeros(12, dtype=np.bool_))
-    some = ReachPlanner(model, named_weights("authors_static"), bounds, ReachScene.empty(), FAST)
+    some = ReachPlanner(model, NAMED_WEIGHTS["authors_static"], bounds, Surroundings.empty(), FAST)
     a, b = (
         one.plan(start, goal, 1.0, one.nobody(), np.random.default_rng(0)).q
         for one in (some, pickle.loads(pickle.dumps(some)))
@@ -177,8 +178,6 @@ def test_bad_input_is_refused() -> None:
         some.plan(START, GOAL, 1.0, beside, rng, initial=np.zeros((5, 23)))
     with pytest.raises(PlanningError, match="0 or more"):
         ReachPlanner(MODEL, -np.ones(24), BOUNDS, SCENE)
-    with pytest.raises(MotionError, match="one posture"):
-        some.costs(np.stack([line(START, GOAL), line(GOAL, START)]), 1.0, beside)
     task = dataclasses.replace(ReachTask.of(RECORDINGS[0]), dof_names=tuple(f"d{k}" for k in range(23)))
     with pytest.raises(HumanModelError):
         SingleShot(some).predict(task, rng)
@@ -186,7 +185,7 @@ def test_bad_input_is_refused() -> None:
 
 @pytest.mark.parametrize("name", list(NAMED_WEIGHTS))
 def test_named_weights_are_24_of_0_or_more(name: str) -> None:
-    weights = named_weights(name)
+    weights = NAMED_WEIGHTS[name]
     assert weights.shape == (24,)
     assert (weights >= 0.0).all()
     assert weights.any()
@@ -197,7 +196,7 @@ def test_on_p2s_recordings_the_authors_weights_lie_between_the_baselines_in_task
     metric, found = ReachMetric(MODEL), []
     bounds = PostureBounds.from_recordings(recordings, MODEL)
     for name in ("authors_static", "baseline_0", "baseline_1"):
-        predictor = SingleShot(ReachPlanner(MODEL, named_weights(name), bounds, SCENE))
+        predictor = SingleShot(ReachPlanner(MODEL, NAMED_WEIGHTS[name], bounds, SCENE))
         distances = [
             metric.between(predictor.predict(ReachTask.of(r), np.random.default_rng(0)), r.active.q) for r in recordings
         ]

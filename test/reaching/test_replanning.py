@@ -13,17 +13,17 @@ from humanpred_ros.errors import UsageError
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
 from humanpred_ros.reaching.distances import ReachMetric
-from humanpred_ros.reaching.named_weights import named_weights
+from humanpred_ros.reaching.features import NAMED_WEIGHTS
 from humanpred_ros.reaching.planner import PlannedReach, ReachPlanner, ReachPlannerConfig, SingleShot
 from humanpred_ros.reaching.posture_bounds import PostureBounds
 from humanpred_ros.reaching.reach_task import ReachTask
 from humanpred_ros.reaching.replanning import Replanned, ReplanningConfig
-from humanpred_ros.reaching.surroundings import ReachScene
+from humanpred_ros.reaching.surroundings import Surroundings
 
 RECORDINGS = [recording(seed, 61) for seed in range(3)]
 BOUNDS = PostureBounds.from_recordings(RECORDINGS, MODEL)
 FAST = ReachPlannerConfig(stomp=dataclasses.replace(ReachPlannerConfig().stomp, n_iterations=10))
-SCENE = ReachScene.of_p2()
+SCENE = Surroundings.of_p2()
 TASK = ReachTask.of(RECORDINGS[0])
 
 
@@ -31,7 +31,7 @@ class Listening(ReachPlanner):
     """A planner that notes what it is asked."""
 
     def __init__(self) -> None:
-        super().__init__(MODEL, named_weights("authors_static"), BOUNDS, SCENE, FAST)
+        super().__init__(MODEL, NAMED_WEIGHTS["authors_static"], BOUNDS, SCENE, FAST)
         self.asked: list[dict[str, object]] = []
 
     def plan(self, start, goal, duration_s, partner, rng, history=None, initial=None):  # type: ignore[no-untyped-def]
@@ -86,7 +86,7 @@ def test_the_partner_is_the_one_of_the_moment_and_his_future_is_not_looked_at() 
     other = dataclasses.replace(TASK, partner=Motion(TASK.partner.t_s, later, TASK.dof_names, frame_id="mocap"))
 
     patient = ReachPlannerConfig(stomp=dataclasses.replace(FAST.stomp, n_iterations=50))
-    predictor = Replanned(ReachPlanner(MODEL, named_weights("baseline_1"), BOUNDS, SCENE, patient))
+    predictor = Replanned(ReachPlanner(MODEL, NAMED_WEIGHTS["baseline_1"], BOUNDS, SCENE, patient))
     a, b = (predictor.predict(task, np.random.default_rng(0)) for task in (TASK, other))
     np.testing.assert_array_equal(a[:20], b[:20])
     assert np.abs(a[20:] - b[20:]).max() > 1e-3
@@ -111,7 +111,7 @@ def test_times_that_cannot_be_are_refused() -> None:
 def test_replanning_helps_where_the_partner_comes_in_the_way() -> None:
     demos = load_reach_recordings(shared_data("icra2015/demos"))
     (case,) = load_reach_recordings(shared_data("icra2015/interference_case"))
-    planner = ReachPlanner(MODEL, named_weights("authors_static"), PostureBounds.from_recordings(demos, MODEL), SCENE)
+    planner = ReachPlanner(MODEL, NAMED_WEIGHTS["authors_static"], PostureBounds.from_recordings(demos, MODEL), SCENE)
     metric, task = ReachMetric(MODEL), ReachTask.of(case)
     once, again = (
         metric.between(predictor.predict(task, np.random.default_rng(0)), case.active.q)

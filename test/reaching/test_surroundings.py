@@ -9,14 +9,14 @@ from reaching_people import MODEL, PARTNER, START
 from humanpred_ros.errors import ArrayError, HumanModelError, SceneError
 from humanpred_ros.geometry.capsules import Capsule
 from humanpred_ros.reaching.body import MOVING_BODIES, BodyCapsules
-from humanpred_ros.reaching.surroundings import CAP_M, ReachScene
+from humanpred_ros.reaching.surroundings import CAP_M, Surroundings
 from humanpred_ros.robot.scene import load_scene
 
-SCENE = ReachScene.of_p2()
+SCENE = Surroundings.of_p2()
 
 
 def test_distances_to_a_capsule_are_exact_at_nodes_up_to_the_cap() -> None:
-    scene = ReachScene.empty()
+    scene = Surroundings.empty()
     ends = np.array([[[1.5, 1.0, 1.0], [1.7, 1.1, 1.4]]])
     field = scene.field_with(ends, [0.1])
     rng = np.random.default_rng(0)
@@ -40,7 +40,7 @@ def test_partner_lowers_distances_and_leaves_the_scene_alone() -> None:
 
 
 def test_table_stands_where_p2_has_it() -> None:
-    # The centre of the left box, in the table's frame and in that of the recordings (facts section 3).
+    # The centre of the left box, in the table's frame and in that of the recordings (docs/papers.md, P2 scene).
     c, s = np.cos(np.deg2rad(166.572)), np.sin(np.deg2rad(166.572))
     x, y = 1.84 + c * 0.325 - s * -0.14, 1.41 + s * 0.325 + c * -0.14
     middle, above = SCENE.field.distance(np.array([[x, y, 0.85], [x, y, 0.70 + 0.295 + 0.10]]))
@@ -49,7 +49,7 @@ def test_table_stands_where_p2_has_it() -> None:
 
 
 def test_scene_without_anything_is_far_from_everything() -> None:
-    assert (ReachScene.empty().field.values == np.float32(CAP_M)).all()
+    assert (Surroundings.empty().field.values == np.float32(CAP_M)).all()
 
 
 def test_capsules_cover_what_is_a_capsule_exactly() -> None:
@@ -83,7 +83,7 @@ def test_bad_input_is_refused() -> None:
     with pytest.raises(HumanModelError, match="capsules"):
         BodyCapsules.of(MODEL, ("tail",))
     with pytest.raises(SceneError, match="region"):
-        ReachScene((), np.ones(3), np.zeros(3))
+        Surroundings((), np.ones(3), np.zeros(3))
     with pytest.raises(SceneError, match="ends"):
         SCENE.field_with(np.zeros((1, 3)), [0.1])
     assert len(BodyCapsules.of(MODEL, MOVING_BODIES).links) == len(MOVING_BODIES)
@@ -91,7 +91,7 @@ def test_bad_input_is_refused() -> None:
 
 def test_the_obstacles_of_a_robots_scene_are_moved_to_where_the_person_sees_them() -> None:
     scene = load_scene("face_to_face")
-    here = ReachScene.of_obstacles(scene.obstacles, np.linalg.inv(scene.T_world_human))
+    here = Surroundings.of_obstacles(scene.obstacles, np.linalg.inv(scene.T_world_human))
     assert [obstacle.name for obstacle in here.obstacles] == [obstacle.name for obstacle in scene.obstacles]
     points = np.array([[0.0, -0.7, 0.75], [0.2, -0.8, 0.9], [-0.6, -0.5, 0.6]])
     moved = points @ np.linalg.inv(scene.T_world_human)[:3, :3].T + np.linalg.inv(scene.T_world_human)[:3, 3]
@@ -99,20 +99,20 @@ def test_the_obstacles_of_a_robots_scene_are_moved_to_where_the_person_sees_them
         np.testing.assert_allclose(tracker.shape.distance(moved), world.shape.distance(points), atol=1e-9)
     assert (here.lower_m < moved.min(axis=0)).all()
     assert (here.upper_m > moved.max(axis=0)).all()
-    assert not ReachScene.of_obstacles((), np.eye(4)).obstacles
+    assert not Surroundings.of_obstacles((), np.eye(4)).obstacles
     with pytest.raises(ArrayError):
-        ReachScene.of_obstacles(scene.obstacles, np.zeros((3, 3)))
+        Surroundings.of_obstacles(scene.obstacles, np.zeros((3, 3)))
 
 
 def test_the_table_stands_where_hands_are() -> None:
     at_the_table = np.array([[1.8, 1.2, 1.0], [5.0, 5.0, 1.0]])
-    assert ReachScene.around_hands(at_the_table) is ReachScene.of_p2()
-    elsewhere = ReachScene.around_hands(at_the_table + np.array([10.0, -3.0, 0.0]))
+    assert Surroundings.around_hands(at_the_table) is Surroundings.of_p2()
+    elsewhere = Surroundings.around_hands(at_the_table + np.array([10.0, -3.0, 0.0]))
     assert elsewhere.obstacles == ()
     assert (elsewhere.lower_m < [11.8, -1.8, 1.0]).all()
     assert (elsewhere.upper_m > [15.0, 2.0, 1.0]).all()
     # There a partner is seen, as at the table.
     beside = np.array([[[11.8, -1.8, 0.8], [11.8, -1.8, 1.2]]])
     assert elsewhere.field_with(beside, [0.1]).values.min() < 0.0 < elsewhere.field.values.min()
-    with pytest.raises(SceneError, match="places of hands"):
-        ReachScene.around_hands(np.zeros((0, 3)))
+    with pytest.raises(SceneError, match="positions of hands"):
+        Surroundings.around_hands(np.zeros((0, 3)))

@@ -10,7 +10,7 @@ from humanpred_ros.evaluation.reaching.learned import WeightTable
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
 from humanpred_ros.reaching.reach_task import ReachPredictor
-from humanpred_ros.reaching.surroundings import ReachScene
+from humanpred_ros.reaching.surroundings import Surroundings
 
 #: Gives the predictor for a recording, by name; it knows all recordings to learn from but that one.
 Without = Callable[[str], ReachPredictor]
@@ -37,7 +37,7 @@ class ReachingMaterial:
     recordings: Sequence[ReachRecording]
     model: HumanModel
     weights: Mapping[str, WeightTable] = field(default_factory=dict)
-    scene: ReachScene = field(default_factory=ReachScene.of_p2)
+    scene: Surroundings = field(default_factory=Surroundings.of_p2)
 
     def without(self, name: str) -> list[ReachRecording]:
         """Return all recordings but one; all of them if none has that name."""

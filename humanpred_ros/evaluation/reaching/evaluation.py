@@ -43,7 +43,7 @@ from humanpred_ros.evaluation.reaching.timing import prediction_times
 from humanpred_ros.evaluation.reaching.weights import weight_figures
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
-from humanpred_ros.reaching.surroundings import ReachScene
+from humanpred_ros.reaching.surroundings import Surroundings
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def evaluate_reaching(
     model = model or HumanModel.mocap23()
     ordered = sorted(recordings, key=_papers_order)
     hands_m = [model.forward(recording.active.q)[WRIST] for recording in ordered]
-    scene = ReachScene.around_hands(np.concatenate(hands_m))
+    scene = Surroundings.around_hands(np.concatenate(hands_m))
     learned = _learned(ordered, model, config, scene)
     material = ReachingMaterial(ordered, model, {how: entry.table for how, entry in learned.items()}, scene)
     times = prediction_times(config.predictors, ordered, material)
@@ -199,7 +199,7 @@ def steps_of(
 
 
 def _learned(
-    recordings: Sequence[ReachRecording], model: HumanModel, config: ReachingConfig, scene: ReachScene
+    recordings: Sequence[ReachRecording], model: HumanModel, config: ReachingConfig, scene: Surroundings
 ) -> dict[str, LearnedWeights]:
     wanted = dict.fromkeys(reaching_entry(name).learns for name in config.predictors)
     return {how: learn_all(recordings, model, how, config.seed, scene) for how in wanted if how is not None}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType
 
@@ -13,24 +13,26 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
 from humanpred_ros.reaching.features import DISTANCE_NAMES
-from humanpred_ros.reaching.learner import LearningConfig, ReachLearner, ReachWeights
-from humanpred_ros.reaching.piirl import PiirlConfig
-from humanpred_ros.reaching.surroundings import ReachScene
+from humanpred_ros.reaching.learner import LearningSettings, ReachLearner
+from humanpred_ros.reaching.piirl import PiirlSettings
+from humanpred_ros.reaching.surroundings import Surroundings
+from humanpred_ros.reaching.weights import ReachWeights
 
 _log = logging.getLogger(__name__)
 
 PUBLISHED, ALONE, IMPROVED = "published", "alone", "improved"
-_AS_PUBLISHED = LearningConfig(keep_unfit=True)
+_AS_PUBLISHED = LearningSettings(keep_unfit=True)
 #: Ways to learn: P2's (all recordings, split, the paper's loss); P2's from one whole recording (facts section 5); and
 #: with features in units of their spread, an optimum inside the bounds, and no recording with a jump. What it costs to
 #: come near the partner is not learned there: of a few reaches it cannot be told from nothing (the bootstrap says so),
 #: and what comes out makes other reaches worse. The partner remains an obstacle.
-LEARNING: Mapping[str, LearningConfig] = MappingProxyType(
+LEARNING: Mapping[str, LearningSettings] = MappingProxyType(
     {
         PUBLISHED: _AS_PUBLISHED,
-        ALONE: replace(_AS_PUBLISHED, splitting=None),
-        IMPROVED: LearningConfig(
-            piirl=PiirlConfig(normalised=True, with_demonstration=True, l2=0.1, without=DISTANCE_NAMES), splitting=None
+        ALONE: _AS_PUBLISHED.replaced(splitting=None),
+        IMPROVED: LearningSettings(
+            piirl=PiirlSettings(normalised=True, with_demonstration=True, l2=0.1, without=DISTANCE_NAMES),
+            splitting=None,
         ),
     }
 )  # fmt: skip
@@ -75,7 +77,7 @@ class LearnedWeights:
 
 
 def learn_all(
-    recordings: Sequence[ReachRecording], model: HumanModel, how: str, seed: int, scene: ReachScene | None = None
+    recordings: Sequence[ReachRecording], model: HumanModel, how: str, seed: int, scene: Surroundings | None = None
 ) -> LearnedWeights:
     """Learn from all, from all but each and, for `ALONE`, from each.
 
@@ -92,17 +94,17 @@ def learn_all(
         MotionError: too little to learn from.
     """
     begin, processor_begin = time.perf_counter(), time.process_time()
-    config = replace(LEARNING[how], seed=seed)
+    config = LEARNING[how].replaced(seed=seed)
     learner = ReachLearner(recordings, model, config, scene)
     if not learner.names:
-        learner = ReachLearner(recordings, model, replace(config, keep_unfit=True), scene)
+        learner = ReachLearner(recordings, model, config.replaced(keep_unfit=True), scene)
     everything = learner.learn()
     learn_s, processor_s = time.perf_counter() - begin, time.process_time() - processor_begin
     names = [recording.name for recording in recordings]
 
     @lru_cache(maxsize=1)
     def less_strict() -> ReachLearner:
-        return ReachLearner(recordings, model, replace(config, keep_unfit=True), scene)
+        return ReachLearner(recordings, model, config.replaced(keep_unfit=True), scene)
 
     def learned(some: Sequence[str]) -> FloatArray:
         if set(some) & set(learner.names):

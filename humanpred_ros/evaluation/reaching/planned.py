@@ -7,7 +7,7 @@ from functools import partial
 
 from humanpred_ros.evaluation.reaching.entry import BETTER, REPRODUCED, ReachingEntry, ReachingMaterial, Without
 from humanpred_ros.evaluation.reaching.learned import ALONE, IMPROVED, PUBLISHED
-from humanpred_ros.reaching.named_weights import named_weights
+from humanpred_ros.reaching.features import NAMED_WEIGHTS
 from humanpred_ros.reaching.planned_predictors import improved_predictor, planned_predictor
 from humanpred_ros.reaching.posture_bounds import BoundsConfig
 from humanpred_ros.reaching.reach_task import ReachPredictor
@@ -69,7 +69,7 @@ def _own(material: ReachingMaterial) -> Without:
 
 def _named(name: str, replanned: bool) -> Callable[[ReachingMaterial], Without]:
     def prepare(material: ReachingMaterial) -> Without:
-        weights = named_weights(name)
+        weights = NAMED_WEIGHTS[name]
         return lambda left_out: planned_predictor(
             material.without(left_out), material.model, weights, replanned=replanned, scene=material.scene
         )

@@ -13,7 +13,7 @@ smoothness of its baselines.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -25,10 +25,9 @@ from humanpred_ros.geometry.checks import FloatArray, frozen
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
 from humanpred_ros.reaching.demonstrations import Demonstration, demonstration
-from humanpred_ros.reaching.features import N_SMOOTHNESS, ReachFeatures
+from humanpred_ros.reaching.features import N_SMOOTHNESS, NAMED_WEIGHTS, ReachFeatures
 from humanpred_ros.reaching.first_guess import straight_line
-from humanpred_ros.reaching.named_weights import named_weights
-from humanpred_ros.reaching.piirl import Contrast, PiirlConfig, contrasts, learn_weights
+from humanpred_ros.reaching.piirl import Contrast, PiirlSettings, contrasts, learn_weights
 from humanpred_ros.reaching.planner import ReachPlanner, ReachPlannerConfig
 from humanpred_ros.reaching.posture_bounds import PostureBounds
 
@@ -38,10 +37,10 @@ _KNOWN_DISTANCES = (
     5.0, 2.0, 5.0, 5.0, 5.0, 5.0, 5.0, 2.0,
 )  # fmt: skip
 #: Ways to learn that are compared. Who is known to mind the partner's nearness can only be learned from with it.
-METHODS: Mapping[str, PiirlConfig] = MappingProxyType(
+METHODS: Mapping[str, PiirlSettings] = MappingProxyType(
     {
         PUBLISHED: LEARNING[PUBLISHED].piirl,
-        f"{IMPROVED}, distances too": replace(LEARNING[IMPROVED].piirl, without=()),
+        f"{IMPROVED}, distances too": LEARNING[IMPROVED].piirl.replaced(without=()),
     }
 )
 
@@ -161,7 +160,7 @@ class Recovery:
             shares: FloatArray = np.array(found) / costs - 1.0
             return shares
 
-        sampling = replace(LEARNING[PUBLISHED].sampling, n_samples=max(self._config.samples))
+        sampling = LEARNING[PUBLISHED].sampling.replaced(n_samples=max(self._config.samples))
         drawn = contrasts(demos, features, sampling, np.random.default_rng([self._seed, repetition]))
         learned: dict[str, list[FloatArray]] = {how: [] for how in METHODS}
         best = []
@@ -171,7 +170,7 @@ class Recovery:
             for how, piirl in METHODS.items():
                 weights = learn_weights(some, piirl).weights
                 learned[how].append(more([self._planned(weights, d, repetition) for d in range(len(demos))]))
-        phase = np.linspace(0.0, 1.0, features.config.n_waypoints)
+        phase = np.linspace(0.0, 1.0, features.settings.n_waypoints)
         return RecoveryRun(
             learned={how: np.array(shares) for how, shares in learned.items()},
             best_sample=np.array(best),
@@ -188,6 +187,6 @@ class Recovery:
 
 def known_weights() -> FloatArray:
     """Return the weights (24,) that made demonstrations minimise."""
-    weights = named_weights("baseline_0").copy()
+    weights = NAMED_WEIGHTS["baseline_0"].copy()
     weights[N_SMOOTHNESS:] = _KNOWN_DISTANCES
     return frozen(weights)  # type: ignore[return-value]

@@ -9,7 +9,7 @@ samples around the demonstrations, as a share of the sum over all features.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,8 +19,7 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
 from humanpred_ros.reaching.demonstrations import demonstrations
-from humanpred_ros.reaching.features import FEATURE_NAMES, ReachFeatures
-from humanpred_ros.reaching.named_weights import NAMED_WEIGHTS
+from humanpred_ros.reaching.features import FEATURE_NAMES, NAMED_WEIGHTS, ReachFeatures
 from humanpred_ros.reaching.piirl import contrasts
 
 #: Samples of each demonstration that say how much a feature varies.
@@ -151,7 +150,7 @@ def influence(weights: FloatArray, deviation: FloatArray) -> FloatArray:
 def feature_deviation(recordings: Sequence[ReachRecording], model: HumanModel, seed: int) -> FloatArray:
     """Return the standard deviation (24,) of each feature over samples around whole recordings."""
     features = ReachFeatures(model)
-    sampling = replace(LEARNING[PUBLISHED].sampling, n_samples=_N_SAMPLES)
+    sampling = LEARNING[PUBLISHED].sampling.replaced(n_samples=_N_SAMPLES)
     found = contrasts(
         demonstrations(recordings, features, keep_unfit=True), features, sampling, np.random.default_rng([seed, 2])
     )

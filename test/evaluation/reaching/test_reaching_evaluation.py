@@ -108,9 +108,7 @@ def test_chance_is_shown_over_runs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_what_learns_gets_weights_that_do_not_know_the_tested_reach(monkeypatch: pytest.MonkeyPatch) -> None:
     few = {
-        how: dataclasses.replace(
-            config, sampling=dataclasses.replace(config.sampling, n_samples=20), collisions=None, bootstrap=2
-        )
+        how: config.replaced(sampling=config.sampling.replaced(n_samples=20), collisions=None, bootstrap=2)
         for how, config in learned_module.LEARNING.items()
     }
     monkeypatch.setattr(learned_module, "LEARNING", few)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import pickle
 
 import numpy as np
@@ -12,8 +11,8 @@ from reaching_people import MODEL, recording
 from humanpred_ros.evaluation.reaching import learned as learned_module
 from humanpred_ros.evaluation.reaching.learned import ALONE, IMPROVED, LEARNING, PUBLISHED, LearnedWeights, learn_all
 from humanpred_ros.evaluation.reaching.weights import WeightFigures, feature_deviation, influence, weight_figures
+from humanpred_ros.reaching.features import NAMED_WEIGHTS
 from humanpred_ros.reaching.learner import ReachLearner
-from humanpred_ros.reaching.named_weights import NAMED_WEIGHTS
 
 RECORDINGS = [recording(seed, n_frames=40) for seed in range(3)]
 NAMES = [entry.name for entry in RECORDINGS]
@@ -23,9 +22,7 @@ NAMES = [entry.name for entry in RECORDINGS]
 def quick() -> dict[str, LearnedWeights]:
     with pytest.MonkeyPatch.context() as patch:
         few = {
-            how: dataclasses.replace(
-                config, sampling=dataclasses.replace(config.sampling, n_samples=40), collisions=None, bootstrap=4
-            )
+            how: config.replaced(sampling=config.sampling.replaced(n_samples=40), collisions=None, bootstrap=4)
             for how, config in LEARNING.items()
         }
         patch.setattr(learned_module, "LEARNING", few)
@@ -38,13 +35,11 @@ def figures(quick: dict[str, LearnedWeights]) -> WeightFigures:
 
 
 def test_leaving_one_out_is_learning_from_the_others() -> None:
-    config = dataclasses.replace(
-        LEARNING[IMPROVED], sampling=dataclasses.replace(LEARNING[IMPROVED].sampling, n_samples=30), bootstrap=0
-    )
+    config = LEARNING[IMPROVED].replaced(sampling=LEARNING[IMPROVED].sampling.replaced(n_samples=30), bootstrap=0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(learned_module, "LEARNING", {IMPROVED: config})
         table = learn_all(RECORDINGS, MODEL, IMPROVED, seed=5).table
-    learner = ReachLearner(RECORDINGS, MODEL, dataclasses.replace(config, seed=5))
+    learner = ReachLearner(RECORDINGS, MODEL, config.replaced(seed=5))
     for name in NAMES:
         others = learner.learn([other for other in NAMES if other != name])
         np.testing.assert_array_equal(table.without(name), others.weights)

@@ -1,7 +1,7 @@
-"""Learned weights as a file that people can read: JSON with names, scales, spread and provenance.
+"""Learned weights of the features, and the JSON file that holds them with names, scales, spread and provenance.
 
-A weight means nothing without the feature it is of and the scale of that feature, so both are in the file, and a file
-of other features is refused.
+A weight means nothing without its feature and the scale of that feature, so both are in the file, and a file of other
+features is refused.
 """
 
 from __future__ import annotations
@@ -9,33 +9,92 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from humanpred_ros.errors import HumanPredError, ModelFileError
-from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.reaching.features import FEATURE_NAMES, N_FEATURES, SCALES
-from humanpred_ros.reaching.learner import ReachWeights
+from humanpred_ros.errors import HumanPredError, ModelFileError, MotionError, UsageError
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
+from humanpred_ros.reaching.features import FEATURE_NAMES, N_FEATURES, NAMED_WEIGHTS, SCALES
 
 FORMAT = "humanpred_ros reach weights"
 FORMAT_VERSION = 2
+
+
+@dataclass(frozen=True, eq=False)
+class ReachWeights:
+    """Learned weights of the features: immutable.
+
+    Attributes:
+        weights: (24,) of `FEATURE_NAMES`.
+        bootstrap: (B, 24) weights learned from recordings drawn with replacement; their scatter says how certain a
+            weight is. B is 0 if there was only one recording.
+        at_upper: names of the weights that were stopped by their bound; the data ask for larger ones.
+        provenance: what was learned from, how, and by which version.
+
+    Raises:
+        MotionError: arrays of another shape, or negative weights.
+    """
+
+    weights: FloatArray
+    bootstrap: FloatArray
+    at_upper: tuple[str, ...]
+    provenance: Mapping[str, Any]
+
+    def __post_init__(self) -> None:
+        weights = checked("weights", self.weights, (N_FEATURES,), error=MotionError)
+        bootstrap = checked("bootstrap", self.bootstrap, ("B", N_FEATURES), error=MotionError)
+        if (weights < 0.0).any() or (bootstrap < 0.0).any():
+            raise MotionError(f"weights: wanted 0 or more, got {min(weights.min(), bootstrap.min(initial=0.0))}")
+        if unknown := sorted(set(self.at_upper) - set(FEATURE_NAMES)):
+            raise MotionError(f"weights at their bound: wanted names of features, got {', '.join(unknown)}")
+        object.__setattr__(self, "weights", frozen(weights))
+        object.__setattr__(self, "bootstrap", frozen(bootstrap))
+        object.__setattr__(self, "at_upper", tuple(self.at_upper))
+        object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
+
+    @property
+    def spread(self) -> FloatArray:
+        """(24,) standard deviation over the bootstrap; NaN with fewer than two."""
+        if len(self.bootstrap) < 2:
+            return np.full(N_FEATURES, np.nan)
+        spread: FloatArray = self.bootstrap.std(axis=0, ddof=1)
+        return spread
+
+
+def reach_weights(name_or_file: str) -> FloatArray:
+    """Return (24,) weights of P2's cost: of a name in `NAMED_WEIGHTS`, or from a file of learned weights.
+
+    Raises:
+        UsageError: no such name, and no JSON file either.
+        ModelFileError: a file that cannot be used.
+    """
+    if name_or_file in NAMED_WEIGHTS:
+        return NAMED_WEIGHTS[name_or_file]
+    if name_or_file.endswith(".json"):
+        return load_weights(name_or_file).weights
+    raise UsageError(
+        f"reach weights: wanted one of {', '.join(NAMED_WEIGHTS)}, or a .json file of learned weights, "
+        f"got {name_or_file!r}"
+    )
 
 
 def save_weights(weights: ReachWeights, path: str | Path) -> None:
     """Write the weights; a reader sees the old file or the new one, never a part.
 
     Raises:
-        ModelFileError: the file cannot be written, or the provenance cannot be said in JSON.
+        ModelFileError: the file cannot be written, or the provenance cannot be written as JSON.
     """
     path = Path(path)
-    known = len(weights.bootstrap) > 1
     value = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "weights": _named(weights.weights),
-        "spread": _named(weights.spread) if known else None,  # for people; it follows from the bootstrap
+        # For people; it follows from the bootstrap.
+        "spread": _named(weights.spread) if len(weights.bootstrap) > 1 else None,
         "scales": _named(SCALES),
         "at_upper": list(weights.at_upper),
         "provenance": dict(weights.provenance),
@@ -106,14 +165,14 @@ def _numbers(path: Path, what: str, named: Any) -> FloatArray:
         names = set(named) if isinstance(named, Mapping) else set()
         lacking = [name for name in FEATURE_NAMES if name not in names]
         unknown = sorted(str(name) for name in names - set(FEATURE_NAMES))
-        said = f"lacking: {', '.join(lacking) or 'none'}; unknown: {', '.join(unknown) or 'none'}"
         raise ModelFileError(
-            f"weights {path}: wanted {what} of the {N_FEATURES} features of this version ({said}); learn them again"
+            f"weights {path}: wanted {what} of the {N_FEATURES} features of this version (lacking: "
+            f"{', '.join(lacking) or 'none'}; unknown: {', '.join(unknown) or 'none'}); learn them again"
         )
-    values = [named[name] for name in FEATURE_NAMES]
-    for name, value in zip(FEATURE_NAMES, values, strict=True):
+    for name in FEATURE_NAMES:
+        value = named[name]
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
             raise ModelFileError(
                 f"weights {path}: wanted finite {what}, got {value!r:.40} for {name}; learn them again"
             )
-    return np.array(values, dtype=np.float64)
+    return np.array([named[name] for name in FEATURE_NAMES], dtype=np.float64)

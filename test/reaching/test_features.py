@@ -1,4 +1,4 @@
-"""The 24 features are those of P2's pipeline, and their gradients those of finite differences."""
+"""The 24 features are those of P2's pipeline, and follow from their definition."""
 
 from __future__ import annotations
 
@@ -6,25 +6,26 @@ import csv
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from paths import shared_data
 from reaching_people import MODEL, START, recording
 
-from humanpred_ros.errors import ArrayError, HumanPredError, MotionError
+from humanpred_ros.errors import ArrayError, HumanPredError, MotionError, SettingsError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
 from humanpred_ros.reaching.demonstrations import demonstration
+from humanpred_ros.reaching.feature_kernels import REACH
 from humanpred_ros.reaching.features import (
-    FEATURE_NAMES,
     N_FEATURES,
+    PADDING,
+    RULES,
     SCALES,
-    FeatureConfig,
+    FeatureSettings,
     ReachFeatures,
     ReachSituation,
 )
-from humanpred_ros.reaching.stencils import PADDING, RULES
 
 FEATURES = ReachFeatures(MODEL)
 #: Features of accelerations and jerks. Stamps in the files are rounded to 1e-6 s, which moves postures resampled in
@@ -88,51 +89,11 @@ def test_a_batch_gives_what_each_reach_gives_alone() -> None:
     np.testing.assert_allclose(FEATURES.waypoint_values(batch, situation).sum(axis=1), together, rtol=1e-12)
 
 
-@pytest.mark.parametrize("history", [False, True])
-@pytest.mark.parametrize("feature", range(N_FEATURES), ids=FEATURE_NAMES)
-def test_gradients_are_those_of_finite_differences(feature: int, history: bool) -> None:
-    q, situation = example(history)
-    weights = np.eye(N_FEATURES)[feature]
-    costs, gradient = FEATURES.cost_gradient(q[None], weights, situation)
-    assert costs[0] == pytest.approx(FEATURES.values(q, situation)[feature], rel=1e-12)
-    rng, h = np.random.default_rng(feature), 1e-6
-    for waypoint in (0, 1, 2, 50, 97, 98, 99):
-        direction = np.zeros_like(q)
-        direction[waypoint] = rng.normal(size=23)
-        ahead, behind = (FEATURES.values(q + s * h * direction, situation)[feature] for s in (1, -1))
-        assert (gradient[0] * direction).sum() == pytest.approx(
-            (ahead - behind) / (2.0 * h), rel=1e-4, abs=1e-6 * costs[0]
-        )
-
-
-@settings(max_examples=40)
-@given(st.integers(0, 2**32 - 1), st.booleans(), st.floats(0.3, 5.0))
-def test_gradients_hold_for_any_reach_partner_and_duration(seed: int, history: bool, duration_s: float) -> None:
-    """Reaches far from smooth, partners near and far, along a direction that moves all waypoints."""
-    rng = np.random.default_rng(seed)
-    small = ReachFeatures(MODEL, FeatureConfig(n_waypoints=12))
-    q = START + np.cumsum(0.05 * rng.normal(size=(12, 23)), axis=0)
-    partner = small.link_points(q[6]) + rng.uniform(0.02, 0.5) * rng.normal(size=(4, 3))
-    situation = ReachSituation(duration_s, partner, q[0] + 0.05 * rng.normal(size=(PADDING, 23)) if history else None)
-    # At the cutoff the closeness ends with a small step, which has no derivative.
-    apart = np.linalg.norm(small.link_points(q)[:, :, None] - partner, axis=-1)
-    assume(np.abs(apart - small.config.closeness_cutoff_m).min() > 1e-3)
-    assume(apart.min() > 1e-3)
-    # Every feature has its say: each weight is one over its feature's value.
-    values = small.values(q, situation)
-    weights = rng.random(N_FEATURES) / np.maximum(values, 1e-9)
-    direction = rng.normal(size=q.shape)
-    costs, gradient = small.cost_gradient(q[None], weights, situation)
-    h = 1e-6
-    ahead, behind = (small.values(q + s * h * direction, situation) @ weights for s in (1, -1))
-    assert (gradient[0] * direction).sum() == pytest.approx((ahead - behind) / (2.0 * h), rel=1e-5, abs=1e-5 * costs[0])
-
-
 @settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.floats(0.2, 5.0))
 def test_features_follow_from_the_way_and_not_from_where_it_happens(seed: int, factor: float) -> None:
     rng = np.random.default_rng(seed)
-    small = ReachFeatures(MODEL, FeatureConfig(n_waypoints=12))
+    small = ReachFeatures(MODEL, FeatureSettings(n_waypoints=12))
     q = START + np.cumsum(0.05 * rng.normal(size=(12, 23)), axis=0)
     partner = small.link_points(q[6]) + 0.3 * rng.normal(size=(4, 3))
     values = small.values(q, ReachSituation(1.0, partner))
@@ -146,18 +107,6 @@ def test_features_follow_from_the_way_and_not_from_where_it_happens(seed: int, f
     slower = small.values(q, ReachSituation(factor, partner))
     powers = np.array([0, -2, -4, -6] * 2 + [1] * 16)
     np.testing.assert_allclose(slower, values * factor**powers, rtol=1e-9)
-
-
-def test_gradients_of_a_batch_and_of_all_features_add_up() -> None:
-    q, situation = example(True)
-    weights = np.random.default_rng(2).uniform(0.0, 10.0, N_FEATURES)
-    batch = q + 0.01 * np.random.default_rng(1).normal(size=(3, 1, 23))
-    costs, gradient = FEATURES.cost_gradient(batch, weights, situation)
-    np.testing.assert_allclose(costs, FEATURES.values(batch, situation) @ weights, rtol=1e-12)
-    alone = [FEATURES.cost_gradient(one[None], weights, situation)[1][0] for one in batch]
-    np.testing.assert_allclose(gradient, alone, rtol=1e-9, atol=1e-12)
-    parts = sum(FEATURES.cost_gradient(batch, w * e, situation)[1] for w, e in zip(weights, np.eye(24), strict=True))
-    np.testing.assert_allclose(gradient, parts, rtol=1e-7, atol=1e-9)
 
 
 def test_a_person_who_was_moving_already_is_not_charged_for_starting() -> None:
@@ -178,11 +127,11 @@ def test_far_partners_do_not_count() -> None:
 
 def test_the_human_of_the_kinect_has_the_same_features() -> None:
     model = HumanModel.kinect12()
-    features = ReachFeatures(model, FeatureConfig(n_waypoints=20))
+    features = ReachFeatures(model, FeatureSettings(n_waypoints=20))
     q = np.linspace(np.zeros(12), np.full(12, 0.3), 20)
-    values, gradient = features.cost_gradient(q[None], np.ones(24), ReachSituation(1.0, features.link_points(q[0])))
+    values = features.values(q, ReachSituation(1.0, features.link_points(q[0])))
+    assert values.shape == (N_FEATURES,)
     assert np.isfinite(values).all()
-    assert gradient.shape == (1, 20, 12)
 
 
 @pytest.mark.parametrize(
@@ -191,7 +140,7 @@ def test_the_human_of_the_kinect_has_the_same_features() -> None:
         (MotionError, "positive duration", lambda: ReachSituation(0.0, np.zeros((4, 3)))),
         (MotionError, "partner_m", lambda: ReachSituation(1.0, np.zeros((3, 3)))),
         (ArrayError, "history", lambda: ReachSituation(1.0, np.zeros((4, 3)), np.zeros((5, 23)))),
-        (ArrayError, "7 waypoints", lambda: ReachFeatures(MODEL, FeatureConfig(n_waypoints=6))),
+        (SettingsError, "n_waypoints.*7.*6", lambda: FeatureSettings(n_waypoints=6)),
         (ArrayError, "reaches", lambda: FEATURES.values(np.zeros((99, 23)), ReachSituation(1.0, np.zeros((4, 3))))),
         (
             ArrayError,
@@ -203,3 +152,13 @@ def test_the_human_of_the_kinect_has_the_same_features() -> None:
 def test_what_does_not_fit_is_refused(error: type[HumanPredError], text: str, make) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(error, match=text):
         make()
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_each_rule_is_the_derivative_of_its_order(order: int) -> None:
+    offsets = np.arange(-REACH, REACH + 1)
+    rule = RULES[order - 1]
+    factorial = (1.0, 1.0, 2.0, 6.0)[order]
+    for power in range(order):
+        assert rule @ offsets.astype(float) ** power == pytest.approx(0.0, abs=1e-12)
+    assert rule @ offsets.astype(float) ** order == pytest.approx(factorial)

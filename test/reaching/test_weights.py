@@ -13,8 +13,7 @@ from hypothesis.extra import numpy as hnp
 
 from humanpred_ros.errors import ModelFileError
 from humanpred_ros.reaching.features import FEATURE_NAMES, N_FEATURES, SCALES
-from humanpred_ros.reaching.learner import ReachWeights
-from humanpred_ros.reaching.weights_file import load_weights, save_weights
+from humanpred_ros.reaching.weights import ReachWeights, load_weights, save_weights
 
 SOME = ReachWeights(
     np.linspace(0.0, 300.0, N_FEATURES),
