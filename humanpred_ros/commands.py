@@ -121,16 +121,11 @@ class ReportSettings(Settings):
 
 def report(settings: ReportSettings, console: Console) -> int:
     """Write the HTML report of a recorded run, and its summary as JSON beside it."""
-    from humanpred_ros.viewing.report import write_report
-    from humanpred_ros.viewing.run import read_run
-    from humanpred_ros.viewing.summary import print_summary, summarise
+    from humanpred_ros.viewing.key_figures import print_summary
+    from humanpred_ros.viewing.report import report_run
 
-    run = read_run(settings.run)
-    summary = summarise(run)
     out = settings.out or settings.run / "report.html"
-    write_report(run, summary, out)
-    out.with_name("summary.json").write_text(summary.to_json(), encoding="utf-8")
-    print_summary(summary, console)
+    print_summary(report_run(settings.run, out), console)
     console.print(f"report  {out}")
     return 0
 

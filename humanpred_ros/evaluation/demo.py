@@ -28,9 +28,9 @@ from humanpred_ros.recognition.training import train_model
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import Scene, load_scene
 from humanpred_ros.settings import Settings, setting
-from humanpred_ros.viewing.report import write_report
-from humanpred_ros.viewing.run import read_run
-from humanpred_ros.viewing.summary import RunSummary, print_summary, summarise
+from humanpred_ros.viewing.key_figures import print_summary
+from humanpred_ros.viewing.report import report_run
+from humanpred_ros.viewing.run_summary import RunSummary
 
 _POLL_S = 0.05
 _SETTLE_S = 0.3  # the last messages reach the recorder after the tracker has ended
@@ -114,10 +114,7 @@ def run_demo(settings: DemoSettings, console: Console) -> RunSummary:
     with NodeGroup(folder / "logs", free_domain_id()) as group:
         _start_nodes(group, settings, bag, motion, model_path, folder)
         _follow(group, console)
-    recorded = read_run(folder)
-    summary = summarise(recorded)
-    write_report(recorded, summary, folder / "report.html")
-    (folder / "summary.json").write_text(summary.to_json(), encoding="utf-8")
+    summary = report_run(folder)
     print_summary(summary, console)
     console.print(f"report  {folder / 'report.html'}\nbag     {folder / 'bag'}")
     return summary

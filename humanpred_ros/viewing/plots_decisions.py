@@ -25,9 +25,9 @@ from humanpred_ros.viewing.figures import (
     empty_figure,
     new_figure,
 )
+from humanpred_ros.viewing.plots_time import mark_events
 from humanpred_ros.viewing.run import Run
 from humanpred_ros.viewing.run_summary import RunSummary, StepRow
-from humanpred_ros.viewing.time_axis import mark_events
 
 #: Classes that never reach this probability share the legend's last entry.
 _NEVER_LIKELY = 0.05

@@ -15,12 +15,11 @@ from scipy.spatial import ConvexHull
 
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.shapes import Cylinder, Obstacle
-from humanpred_ros.viewing.clearance import Clearance
 from humanpred_ros.viewing.figures import ALARM, INK, MUTED, WIDTH_IN, empty_figure, goal_colours, new_figure
 from humanpred_ros.viewing.run import Run
 from humanpred_ros.viewing.run_summary import RunSummary
 from humanpred_ros.viewing.tracks import OccupancySnapshot
-from humanpred_ros.viewing.workcell import Workcell
+from humanpred_ros.viewing.workcell import Clearance, Workcell
 
 _HUMAN = "#b7791f"
 _ROBOT = "#52606d"

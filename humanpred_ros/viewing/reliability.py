@@ -9,14 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
+from humanpred_ros.viewing.figures import INK, MUTED, SERIES, empty_figure, new_figure
 from humanpred_ros.viewing.run import WHOLE_REACH_PERCENT, Run
 from humanpred_ros.viewing.run_summary import OccupancyCalibration, ReliabilityBin
 from humanpred_ros.viewing.tracks import OccupancySnapshot
@@ -31,6 +34,13 @@ BIN_EDGES = (MISSED_BELOW, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 #: The two parts of a run that are judged apart: at rest there is nothing left to predict.
 MOVING, AT_REST = "human moving", "human at rest"
 
+_SIZE_IN = (4.5, 5.2)
+#: Area of the marker of a bin that holds all voxels, and of one with next to none, in square points.
+_FULL_AREA, _LEAST_AREA = 420.0, 16.0
+_LOOK: Mapping[str, Mapping[str, Any]] = {
+    MOVING: {"color": SERIES[0], "marker": "o"},
+    AT_REST: {"color": SERIES[1], "marker": "D"},
+}
 _N_BINS = len(BIN_EDGES) - 1
 #: Of a voxel: what the float32 coordinates of its centre can be off by, with room to spare.
 _CENTRE_TOLERANCE = 1e-3
@@ -178,3 +188,37 @@ def _trouble(sample: OccupancySnapshot, grid: VoxelGrid) -> str:
 
 def _nothing(why: str) -> Calibration:
     return Calibration(notes=(f"whether the predicted probabilities were right cannot be told: {why}",))
+
+
+def reliability_plot(calibration: Mapping[str, OccupancyCalibration]) -> Figure:
+    """Return the reliability diagram of a run's predicted occupancy, by part of the run."""
+    parts = {name: part for name, part in calibration.items() if part.voxels}
+    if not parts:
+        return empty_figure("no predicted probability could be compared with what happened")
+    figure = new_figure(*_SIZE_IN)
+    axes = figure.add_subplot()
+    axes.plot([0.0, 1.0], [0.0, 1.0], color=MUTED, linewidth=1.0, zorder=1)
+    axes.text(
+        0.3, 0.33, "as predicted", rotation=45, rotation_mode="anchor", transform_rotates_text=True, color=MUTED,
+        fontsize=8, ha="center",
+    )  # fmt: skip
+    for k, (name, part) in enumerate(parts.items()):
+        filled = [row for row in part.bins if row.count]
+        x, y = (np.array([getattr(row, of) for row in filled], dtype=np.float64) for of in ("probability", "observed"))
+        count = np.array([row.count for row in filled], dtype=np.float64)
+        area = np.maximum(_LEAST_AREA, _FULL_AREA * count / count.sum())
+        look = _LOOK.get(name, {"color": SERIES[(2 + k) % len(SERIES)], "marker": "s"})
+        axes.plot(x, y, color=look["color"], linewidth=1.1, alpha=0.7, zorder=2)
+        axes.scatter(x, y, s=area, alpha=0.75, linewidths=0, clip_on=False, zorder=3, **look)
+        axes.plot([], [], linestyle="-", linewidth=1.1, markersize=6, label=_label(name, part), **look)
+    axes.set_xlim(0.0, 1.0)
+    axes.set_ylim(0.0, 1.0)
+    axes.set_aspect("equal")
+    axes.set_xlabel("predicted probability")
+    axes.set_ylabel("share really occupied")
+    figure.legend(loc="outside lower center", ncol=len(parts), title="size: how many voxels", labelcolor=INK)
+    return figure
+
+
+def _label(name: str, part: OccupancyCalibration) -> str:
+    return name if part.error is None else f"{name}: error {part.error:.2f}"

@@ -2,35 +2,36 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
+from matplotlib.figure import Figure
 
 from humanpred_ros import __version__
 from humanpred_ros.errors import UsageError
-from humanpred_ros.viewing.clearance import measure_clearance
 from humanpred_ros.viewing.figures import goal_colours, report_style, svg_of
-from humanpred_ros.viewing.goal_columns import told_of_goals
-from humanpred_ros.viewing.plots import draw_plots
-from humanpred_ros.viewing.plots_reliability import reliability_plot
-from humanpred_ros.viewing.reliability import MOVING
-from humanpred_ros.viewing.run import Run
-from humanpred_ros.viewing.run_summary import Belief, Interruption, LatencyFigures, OccupancyCalibration, RunSummary
-from humanpred_ros.viewing.workcell import load_workcell
+from humanpred_ros.viewing.key_figures import interruptions, key_figures
+from humanpred_ros.viewing.plots_decisions import cost_terms_plot, goal_costs_plot, posterior_plot
+from humanpred_ros.viewing.plots_space import snapshots_plot, top_view_plot
+from humanpred_ros.viewing.plots_time import clearance_plot, joints_plot, latency_plot, occupancy_plot
+from humanpred_ros.viewing.reliability import reliability_plot
+from humanpred_ros.viewing.run import Run, read_run
+from humanpred_ros.viewing.run_summary import RunSummary
+from humanpred_ros.viewing.summary import summarise
+from humanpred_ros.viewing.workcell import Clearance, Workcell, load_workcell, measure_clearance
 
 _TEMPLATES = Path(__file__).resolve().parent / "templates"
 _TEMPLATE = "report.html.j2"
 #: Facts that are shown in the head of the report; all facts are in its last part.
 _HEAD_FACTS = ("scene", "library", "trajectory", "mode", "predictor", "seed")
-#: Values side by side in one tile.
-_MOST_LISTED = 3
 #: Recorded options of `humanpred demo`, as they are spelt on its command line.
 _OPTIONS = (
     "scene", "library", "trajectory", "predictor", "classifier", "evidence", "window-frames", "hold-out", "seed",
@@ -38,27 +39,76 @@ _OPTIONS = (
 
 
 @dataclass(frozen=True)
-class KeyFigure:
-    """A figure at the top of the report: what it is, its value with unit, a remark, and whether it is bad news."""
+class GoalColumns:
+    """What is told of the goals of a run's steps.
 
-    name: str
-    value: str
-    remark: str = ""
-    alarming: bool = False
+    Attributes:
+        terms: names of STOMP's cost terms.
+        rest: whether costs of resting at the goals are known.
+        task_cost: whether any goal has a cost of its own.
+        alternative: whether any plan leads to another than its goal's preferred configuration.
+        margin: whether the margin of any choice is known.
+    """
+
+    terms: tuple[str, ...]
+    rest: bool
+    task_cost: bool
+    alternative: bool
+    margin: bool
 
 
-def write_report(run: Run, summary: RunSummary, path: str | Path) -> None:
+def told_of_goals(run: Run) -> GoalColumns:
+    """Return what the steps of a run tell of their goals; bags of earlier versions tell less."""
+    goals = [goal for step in run.steps for goal in step.goals]
+    return GoalColumns(
+        terms=tuple(dict.fromkeys(name for goal in goals for name in goal.terms)),
+        rest=any(math.isfinite(goal.rest) for goal in goals),
+        task_cost=any(math.isfinite(goal.task_cost) and goal.task_cost != 0.0 for goal in goals),
+        alternative=any(goal.alternative for goal in goals),
+        margin=any(math.isfinite(step.margin) for step in run.steps),
+    )
+
+
+def report_run(folder: str | Path, path: str | Path | None = None) -> RunSummary:
+    """Write the report of the run in a folder, and `summary.json` beside it; return the summary.
+
+    Args:
+        folder: of the run.
+        path: HTML file to write; `report.html` in the run's folder if None.
+
+    Raises:
+        BagError: there is no complete run.
+        UsageError: the files cannot be written there.
+    """
+    run = read_run(folder)
+    workcell = load_workcell(run)
+    clearance = measure_clearance(run, workcell)
+    summary = summarise(run, workcell, clearance)
+    path = Path(folder) / "report.html" if path is None else Path(path)
+    write_report(run, summary, path, workcell, clearance)
+    path.with_name("summary.json").write_text(summary.to_json(), encoding="utf-8")
+    return summary
+
+
+def write_report(
+    run: Run,
+    summary: RunSummary,
+    path: str | Path,
+    workcell: Workcell | None = None,
+    clearance: Clearance | None = None,
+) -> None:
     """Write the report of a run as one HTML file; a file of that name is replaced when the new one is complete.
 
     Args:
         run, summary: of the same run.
         path: file to write.
+        workcell, clearance: found and measured if None.
 
     Raises:
         UsageError: the file cannot be written there.
     """
     path = Path(path)
-    text = render_report(run, summary)
+    text = render_report(run, summary, workcell, clearance)
     temporary = path.with_name(f".{path.name}.partial-{os.getpid()}")
     try:
         temporary.write_text(text, encoding="utf-8")
@@ -68,10 +118,12 @@ def write_report(run: Run, summary: RunSummary, path: str | Path) -> None:
         raise UsageError(f"report {path}: cannot be written ({trouble.strerror}); choose another place") from trouble
 
 
-def render_report(run: Run, summary: RunSummary) -> str:
-    """Return the report as HTML text."""
-    workcell = load_workcell(run)
-    plots = draw_plots(run, summary, workcell, measure_clearance(run, workcell))
+def render_report(
+    run: Run, summary: RunSummary, workcell: Workcell | None = None, clearance: Clearance | None = None
+) -> str:
+    """Return the report as HTML text; arguments as of `write_report`."""
+    workcell = workcell or load_workcell(run)
+    plots = draw_plots(run, summary, workcell, clearance or measure_clearance(run, workcell))
     with report_style():
         reliability = svg_of(reliability_plot(summary.calibration), "reliability") if summary.calibration else ""
     environment = Environment(
@@ -93,7 +145,7 @@ def render_report(run: Run, summary: RunSummary) -> str:
         calibration=_calibration_rows(summary),
         decisions=list(zip(summary.steps, run.steps, strict=True)),
         told=told_of_goals(run),
-        interruptions=_interruptions(summary),
+        interruptions=interruptions(summary),
         colours=goal_colours(dict.fromkeys([*workcell.goals, *summary.goals])),
         recorded=_recorded(run),
         command=reproduce_command(run),
@@ -101,45 +153,94 @@ def render_report(run: Run, summary: RunSummary) -> str:
     )
 
 
-def key_figures(summary: RunSummary) -> list[KeyFigure]:
-    """Return the figures shown on top, in the order of interest."""
-    figures = []
-    if summary.reached is not None:
-        remark = f"after {summary.reached.t_s:.2f} s; final joint error {1e3 * summary.reached.error_rad:.1f} mrad"
-        figures.append(KeyFigure("goal reached", summary.reached.goal, remark))
-    else:
-        figures.append(KeyFigure("goal reached", "none", "within the recorded time", alarming=True))
-    if summary.closest is not None:
-        closest = summary.closest
-        figures.append(
-            KeyFigure(
-                "closest to human",
-                f"{100.0 * closest.distance_m:.1f} cm",
-                f"at {closest.t_s:.2f} s, {closest.robot_link} – {closest.human_body}",
-                alarming=closest.distance_m <= 0.0,
-            )
-        )
-    else:
-        figures.append(KeyFigure("closest to human", "–", "not known"))
-    figures.append(_switch_figure(summary))
-    figures.append(_recognition_figure(summary))
-    if any(belief.unknown_max > 0.0 for belief in summary.beliefs):
-        figures.append(_unknown_figure(summary.beliefs))
-    figures += [_calibration_figure(part) for name, part in summary.calibration.items() if name == MOVING]
-    figures.append(_steps_figure(summary))
-    for name, latency in summary.latency.items():
-        figures.append(_latency_figure(name, latency))
-    figures.append(_latency_figure("planning one step", summary.planning))
-    if summary.peak_velocity is not None:
-        figures.append(
-            KeyFigure(
-                "fastest joint",
-                f"{100.0 * summary.peak_velocity:.0f} %",
-                "of its velocity limit",
-                alarming=summary.peak_velocity > 1.0 + 1e-6,
-            )
-        )
-    return figures
+@dataclass(frozen=True)
+class Plot:
+    """One plot: `key` names it in links, `svg` is an element ready to stand in HTML."""
+
+    key: str
+    title: str
+    caption: str
+    svg: str
+
+
+def draw_plots(
+    run: Run, summary: RunSummary, workcell: Workcell | None = None, clearance: Clearance | None = None
+) -> tuple[Plot, ...]:
+    """Return the plots of a run; a plot without data says so.
+
+    Args:
+        run, summary: of the same run.
+        workcell, clearance: found and measured if None.
+    """
+    workcell = workcell or load_workcell(run)
+    clearance = clearance or measure_clearance(run, workcell)
+    colours = goal_colours(dict.fromkeys([*workcell.goals, *summary.goals]))
+    wanted: tuple[tuple[str, str, str, Callable[[], Figure]], ...] = (
+        (
+            "top-view",
+            "Seen from above",
+            "Left: where the palm and the tool went; numbered squares are the goal places of the human's classes. "
+            "Right: human body and robot collision spheres at the moment they were closest; the ring marks the place.",
+            lambda: top_view_plot(run, summary, workcell, clearance, colours),
+        ),
+        (
+            "posterior",
+            "What the human is believed to do",
+            "Probability of each class of reach given the part of the motion seen so far; hatched, if the classifier "
+            "considers it, the probability that the motion belongs to none of them. Where all are equal, the human is "
+            "taken to be at rest.",
+            lambda: posterior_plot(run, summary, colours),
+        ),
+        (
+            "goal-costs",
+            "Cost of every goal",
+            "What goals are compared by, at every replanning step (compare with P1 Fig. 9). Hollow: set aside, so the "
+            "cheapest goal need not be the chosen one; the table of decisions says why. A decision takes effect one "
+            "step after it was computed (P1 Fig. 4).",
+            lambda: goal_costs_plot(run, summary, colours),
+        ),
+        (
+            "cost-terms",
+            "What the chosen plan costs",
+            "What STOMP minimised: terms of the cost of the chosen goal's plan at every replanning step.",
+            lambda: cost_terms_plot(run, summary, colours),
+        ),
+        (
+            "predictions",
+            "What was predicted",
+            "Occupancy at the first, the decisive and the last replanning step, seen from above: every cell shows the "
+            "most probable voxel of its column. The dark line is the palm so far, the diamond the robot's tool.",
+            lambda: snapshots_plot(run, summary, workcell, colours),
+        ),
+        (
+            "clearance",
+            "Distance between robot and human",
+            "Least distance between the robot's collision spheres and the human's body at equal data time. The "
+            "spheres contain the arm from the upper arm on, so the true distance is never smaller.",
+            lambda: clearance_plot(run, summary, clearance, colours),
+        ),
+        (
+            "occupancy",
+            "Predicted occupancy",
+            "Size of the space the human is predicted to need.",
+            lambda: occupancy_plot(run, summary, colours),
+        ),
+        (
+            "joints",
+            "Arm joints",
+            "Measured positions and velocities; dashed red lines are limits, drawn where they are near.",
+            lambda: joints_plot(run, summary, workcell, colours),
+        ),
+        (
+            "latency",
+            "Delays",
+            "Wall time between sending a posture and sending what follows from it, and wall time of one replanning "
+            "step.",
+            lambda: latency_plot(run, summary),
+        ),
+    )
+    with report_style():
+        return tuple(Plot(key, title, caption, svg_of(draw(), key)) for key, title, caption, draw in wanted)
 
 
 def reproduce_command(run: Run) -> str:
@@ -158,63 +259,6 @@ def reproduce_command(run: Run) -> str:
     return shlex.join(parts)
 
 
-def _switch_figure(summary: RunSummary) -> KeyFigure:
-    if not summary.switches:
-        chosen = next((row.chosen for row in summary.steps if row.chosen), "")
-        return KeyFigure("switch of goal", "none", f"{chosen} chosen throughout" if chosen else "no goal was chosen")
-    first = summary.switches[0]
-    share = "" if first.percent is None else f" at {first.percent:.0f} % of the reach"
-    more = f"; {len(summary.switches)} switches in all" if len(summary.switches) > 1 else ""
-    return KeyFigure(
-        "switch of goal",
-        f"step {first.step}",
-        f"{first.goal_before} to {first.goal_after}{share}, in effect in step {first.step_in_effect}{more}",
-    )
-
-
-def _recognition_figure(summary: RunSummary) -> KeyFigure:
-    recognised, beliefs = summary.recognised, summary.beliefs
-    if recognised is None and beliefs:
-        found = ["none" if belief.rather_unknown else f"class {belief.best_class}" for belief in beliefs]
-        remark = f"most probable {_at_the_end(beliefs)}; the true class is not known"
-        return KeyFigure("reach recognised", _listed(found), remark)
-    if recognised is None:
-        return KeyFigure("reach recognised", "–", "no posterior was recorded that tells classes apart")
-    if recognised.t_s is None:
-        return KeyFigure("reach recognised", "no", f"true class {recognised.true_class}", alarming=True)
-    share = f"{recognised.t_s:.2f} s" if recognised.percent is None else f"at {recognised.percent:.0f} %"
-    remark = f"class {recognised.true_class}, most probable from {recognised.t_s:.2f} s on"
-    return KeyFigure("reach recognised", share, remark)
-
-
-def _unknown_figure(beliefs: Sequence[Belief]) -> KeyFigure:
-    most = max(beliefs, key=lambda belief: belief.unknown_max)
-    return KeyFigure(
-        "probability of no known class",
-        _listed([f"{100.0 * belief.unknown:.0f} %" for belief in beliefs]),
-        f"{_at_the_end(beliefs)}; at most {100.0 * most.unknown_max:.0f} % at {most.unknown_max_s:.2f} s",
-        alarming=any(belief.rather_unknown for belief in beliefs),
-    )
-
-
-def _at_the_end(beliefs: Sequence[Belief]) -> str:
-    return "at the end of the movement" if len(beliefs) == 1 else f"at the end of each of {len(beliefs)} movements"
-
-
-def _listed(texts: Sequence[str]) -> str:
-    """Return values as a list that fits a tile."""
-    return ", ".join(texts[:_MOST_LISTED]) + (", …" if len(texts) > _MOST_LISTED else "")
-
-
-def _calibration_figure(part: OccupancyCalibration) -> KeyFigure:
-    missed = "nothing was swept" if part.missed is None else f"{100.0 * part.missed:.1f} % of the swept voxels missed"
-    return KeyFigure(
-        "calibration error of the occupancy",
-        "–" if part.error is None else f"{part.error:.2f}",
-        f"mean of |predicted – observed|; {missed}",
-    )
-
-
 def _calibration_rows(summary: RunSummary) -> list[tuple[str, list[str]]]:
     """Return the lines of the calibration table: a title and one cell per part of the run."""
     parts = summary.calibration.values()
@@ -227,31 +271,6 @@ def _calibration_rows(summary: RunSummary) -> list[tuple[str, list[str]]]:
         ("squared error, in voxels", [_number(part.squared_error, 0) for part in parts]),
         ("the same with the current posture only", [_number(part.squared_error_current, 0) for part in parts]),
     ]
-
-
-def _steps_figure(summary: RunSummary) -> KeyFigure:
-    remark = f"{len(summary.holds)} hold{'s' if len(summary.holds) != 1 else ''}" if summary.holds else "no hold"
-    if summary.evasions:
-        remark += f"; moved out of the person's way {_times(len(summary.evasions))}"
-    value = f"{summary.missed} of {len(summary.steps)} missed" if summary.missed else str(len(summary.steps))
-    return KeyFigure("replanning steps", value, remark, alarming=bool(summary.missed or summary.holds))
-
-
-def _interruptions(summary: RunSummary) -> list[tuple[str, Interruption]]:
-    """Return when the arm worked on no goal, with what it did instead, in time order."""
-    both = [("stops", hold) for hold in summary.holds] + [("moves aside", evasion) for evasion in summary.evasions]
-    return sorted(both, key=lambda entry: entry[1].t_s)
-
-
-def _times(count: int) -> str:
-    return {1: "once", 2: "twice"}.get(count, f"{count} times")
-
-
-def _latency_figure(name: str, latency: LatencyFigures) -> KeyFigure:
-    if latency.median_ms is None or latency.p99_ms is None:
-        return KeyFigure(name, "–", "no samples")
-    remark = f"median of {latency.count}; 99 % below {latency.p99_ms:.1f} ms"
-    return KeyFigure(name, f"{latency.median_ms:.1f} ms", remark)
 
 
 def _title(run: Run) -> str:

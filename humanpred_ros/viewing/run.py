@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -19,7 +20,6 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
 from humanpred_ros.viewing import run_topics as topics
-from humanpred_ros.viewing.topic_loader import Entry, EvenSample, RunClock, TopicLoader
 from humanpred_ros.viewing.tracks import (
     Latency,
     OccupancySnapshot,
@@ -113,7 +113,7 @@ def read_run(folder: str | Path) -> Run:
     if not (folder / "bag").is_dir():
         raise BagError(f"{folder}: wanted a run (a folder with a bag/ in it), found none; record one: humanpred demo")
     reader = BagReader(folder / "bag")
-    load = TopicLoader(reader)
+    load = _Loader(reader)
     human_topic = topics.posture_topic(reader.topics)
     human = load.stamped(human_topic, messages.JOINT_STATE)
     facts = MappingProxyType(dict(reader.metadata.get("run", {})))
@@ -128,40 +128,105 @@ def read_run(folder: str | Path) -> Run:
     occupied = load.stamped(
         topics.OCCUPANCY,
         messages.POINT_CLOUD2,
-        reduce=lambda stamp, message: _occupied(message, stamp in planned, sample.takes(stamp)),
+        keep=lambda stamp, message: _occupied(message, stamp in planned, sample.takes(stamp)),
     )
 
     firsts = [entries[0].stamp_ns for entries in (human, occupied, decided) if entries]
     origin_ns = firsts[0] if firsts else (robot[-1].stamp_ns if robot else 0)
-    clock = RunClock(origin_ns)
-    first_occupancy_s = clock.seconds(occupied[0].stamp_ns if occupied else origin_ns)
+    first_occupancy_s = _seconds(occupied[0].stamp_ns if occupied else origin_ns, origin_ns)
     decisions = _numbered(
-        [topics.decision_of(e.message, clock.seconds(e.stamp_ns), first_occupancy_s) for e in decided], load
+        [topics.decision_of(e.message, _seconds(e.stamp_ns, origin_ns), first_occupancy_s) for e in decided], load
     )
-    robot_track = _robot(robot, clock)
+    grid = load.text(topics.VOXEL_GRID)
     lasts = [entries[-1].stamp_ns for entries in (human, occupied, decided, robot) if entries]
     return Run(
         folder=folder,
         facts=facts,
         origin_ns=origin_ns,
-        duration_s=max((clock.seconds(stamp) for stamp in lasts), default=0.0),
+        duration_s=max((_seconds(stamp, origin_ns) for stamp in lasts), default=0.0),
         recorded_ns=reader.start_ns or 0,
         wall_s=(reader.end_ns - reader.start_ns) * 1e-9 if reader.start_ns and reader.end_ns else 0.0,
         motion_duration_s=motion_duration_s,
         postures=postures,
-        posterior=_posterior(goals, clock),
-        occupancy=_occupancy(occupied, load.grid(), clock),
+        posterior=_posterior(goals, origin_ns),
+        occupancy=_occupancy(occupied, topics.grid_of(grid) if grid else None, origin_ns),
         decisions=decisions,
-        robot=robot_track,
+        robot=_robot(robot, origin_ns),
         trajectories=tuple(topics.trajectory_of(e.message, origin_ns) for e in sent),
         latencies=(
-            _delays(POSTURE_TO_OCCUPANCY, human, {e.stamp_ns: e.sent_ns for e in occupied}, clock),
-            _delays(POSTURE_TO_TRAJECTORY, human, _answers(sent, decided), clock),
+            _delays(POSTURE_TO_OCCUPANCY, human, {e.stamp_ns: e.sent_ns for e in occupied}, origin_ns),
+            _delays(POSTURE_TO_TRAJECTORY, human, _answers(sent, decided), origin_ns),
         ),
         topics=tuple(sorted(reader.topics.values(), key=lambda topic: topic.name)),
         human_urdf=load.text(topics.urdf_topic(reader.topics)),
         notes=tuple(load.notes),
     )
+
+
+class Entry(NamedTuple):
+    """A message with its data time (header stamp), the time it was sent, and what is kept of it."""
+
+    stamp_ns: int
+    sent_ns: int
+    message: Any
+
+
+class EvenSample:
+    """Picks, of messages with rising stamps, those that lie evenly in time: the first one at every due time.
+
+    Clouds are large, so which are kept must be known before they are read.
+    """
+
+    def __init__(self, due_ns: Iterable[int]) -> None:
+        self._due_ns = sorted(due_ns)
+        self._n_past = 0
+
+    def takes(self, stamp_ns: int) -> bool:
+        """Return whether the message with this stamp is one of them; ask for each once, in order."""
+        n_past = bisect_right(self._due_ns, stamp_ns)
+        taken, self._n_past = n_past > self._n_past, n_past
+        return taken
+
+
+class _Loader:
+    """Decodes topics of one bag and notes what it had to leave out."""
+
+    def __init__(self, reader: BagReader) -> None:
+        self.reader = reader
+        self.notes: list[str] = []
+
+    def stamped(
+        self, topic: str | None, msgtype: str, *, monotone: bool = True, keep: Callable[[int, Any], Any] | None = None
+    ) -> list[Entry]:
+        """Return the topic's messages in the order they were logged; none if the bag lacks it.
+
+        Args:
+            topic: name.
+            msgtype: the type it must have (BagError otherwise).
+            monotone: leave out messages whose stamps do not exceed all earlier ones.
+            keep: what to keep of a message, given its stamp; the message itself if None.
+        """
+        if topic is None or topic not in self.reader.topics:
+            return []
+        self.reader.require_topic(topic, msgtype)
+        entries: list[Entry] = []
+        backwards, last_ns = 0, -1
+        for record in self.reader.messages([topic]):
+            message = self.reader.decode(record)
+            stamp = messages.ns_from_stamp(message.header.stamp)
+            if monotone and stamp <= last_ns:
+                backwards += stamp < last_ns  # equal stamps say the same thing twice: nothing to report
+                continue
+            last_ns = stamp
+            entries.append(Entry(stamp, record.publish_time_ns, keep(stamp, message) if keep else message))
+        if backwards:
+            self.notes.append(f"{topic}: {backwards} messages with stamps older than earlier ones were left out")
+        return entries
+
+    def text(self, topic: str | None) -> str:
+        """Return the first text of a String topic, empty if there is none."""
+        texts = self.reader.decoded(topic) if topic and topic in self.reader.topics else iter(())
+        return next((str(message.data) for _, message in texts), "")
 
 
 class _Occupied(NamedTuple):
@@ -170,6 +235,14 @@ class _Occupied(NamedTuple):
     planned: bool
     sampled: bool
     cloud: tuple[FloatArray, FloatArray] | None
+
+
+def _seconds(stamp_ns: int, origin_ns: int) -> float:
+    return (stamp_ns - origin_ns) * 1e-9
+
+
+def _times(entries: Iterable[Entry], origin_ns: int) -> FloatArray:
+    return np.array([_seconds(entry.stamp_ns, origin_ns) for entry in entries], dtype=np.float64)
 
 
 def _occupied(message: Any, planned: bool, sampled: bool) -> _Occupied:
@@ -190,22 +263,22 @@ def _sample_times(human: list[Entry], motion_s: float) -> list[int]:
     return [first_ns + round(after_ns) for after_ns in np.concatenate([moving, resting]).tolist()]
 
 
-def _postures(entries: list[Entry], load: TopicLoader) -> PostureTrack:
-    clock = RunClock(entries[0].stamp_ns if entries else 0)  # a run begins with its first posture
+def _postures(entries: list[Entry], load: _Loader) -> PostureTrack:
+    origin_ns = entries[0].stamp_ns if entries else 0  # a run begins with its first posture
     names = tuple(entries[0].message.name) if entries else ()
     rows = [(entry, topics.positions_of(entry.message, names)) for entry in entries]
     usable = [(entry, row[0]) for entry, row in rows if row is not None]
     if len(usable) < len(entries):
         load.notes.append(f"{len(entries) - len(usable)} postures with missing or non-finite joints were left out")
     return PostureTrack(
-        clock.times(entry for entry, _ in usable),
+        _times((entry for entry, _ in usable), origin_ns),
         np.array([q for _, q in usable], dtype=np.float64).reshape(len(usable), len(names)),
         names,
         str(entries[0].message.header.frame_id) if entries else "",
     )
 
 
-def _numbered(decisions: list[RecordedDecision], load: TopicLoader) -> tuple[RecordedDecision, ...]:
+def _numbered(decisions: list[RecordedDecision], load: _Loader) -> tuple[RecordedDecision, ...]:
     """Return the decisions with step numbers that rise; a planner that was started anew counts from 1 again."""
     numbers = [decision.step for decision in decisions if decision.is_step]
     if all(number >= 1 for number in numbers) and all(np.diff(numbers) > 0):
@@ -215,7 +288,7 @@ def _numbered(decisions: list[RecordedDecision], load: TopicLoader) -> tuple[Rec
     return tuple(replace(decision, step=next(count)) if decision.is_step else decision for decision in decisions)
 
 
-def _posterior(entries: list[Entry], clock: RunClock) -> PosteriorTrack:
+def _posterior(entries: list[Entry], origin_ns: int) -> PosteriorTrack:
     columns = [topics.posterior_of(entry.message) for entry in entries]
     if not columns:
         return PosteriorTrack(np.zeros(0), (), np.zeros((0, 0)), np.zeros((0, 3)))
@@ -225,11 +298,11 @@ def _posterior(entries: list[Entry], clock: RunClock) -> PosteriorTrack:
     probability = np.zeros((len(columns), len(all_labels)))
     for row, (labels, told, _) in zip(probability, columns, strict=True):
         row[[all_labels.index(int(label)) for label in labels]] = told
-    return PosteriorTrack(clock.times(entries), all_labels, probability, np.array([place[n] for n in all_labels]))
+    return PosteriorTrack(_times(entries, origin_ns), all_labels, probability, np.array([place[n] for n in all_labels]))
 
 
-def _occupancy(entries: list[Entry], grid: VoxelGrid | None, clock: RunClock) -> OccupancyTrack:
-    times = clock.times(entries)
+def _occupancy(entries: list[Entry], grid: VoxelGrid | None, origin_ns: int) -> OccupancyTrack:
+    times = _times(entries, origin_ns)
 
     def kept(which: Callable[[_Occupied], bool]) -> tuple[OccupancySnapshot, ...]:
         return tuple(
@@ -248,12 +321,12 @@ def _occupancy(entries: list[Entry], grid: VoxelGrid | None, clock: RunClock) ->
     )
 
 
-def _robot(entries: list[Entry], clock: RunClock) -> RobotTrack:
+def _robot(entries: list[Entry], origin_ns: int) -> RobotTrack:
     # Other publishers share the topic on a real robot; states without the arm are theirs.
     rows = [(entry, topics.positions_of(entry.message, RIGHT_ARM_JOINTS)) for entry in entries]
     usable = [(entry, *row) for entry, row in rows if row is not None]
     n_joints = len(RIGHT_ARM_JOINTS)
-    t_s = clock.times(entry for entry, _, _ in usable)
+    t_s = _times((entry for entry, _, _ in usable), origin_ns)
     q = np.array([q for _, q, _ in usable], dtype=np.float64).reshape(-1, n_joints)
     v = np.array([v for _, _, v in usable], dtype=np.float64).reshape(-1, n_joints)
     for j, name in enumerate(RIGHT_ARM_JOINTS):
@@ -278,9 +351,9 @@ def _answers(sent: list[Entry], decided: list[Entry]) -> dict[int, int]:
     return answers
 
 
-def _delays(name: str, human: list[Entry], sent_ns: Mapping[int, int], clock: RunClock) -> Latency:
+def _delays(name: str, human: list[Entry], sent_ns: Mapping[int, int], origin_ns: int) -> Latency:
     pairs = [
-        (clock.seconds(posture.stamp_ns), (sent_ns[posture.stamp_ns] - posture.sent_ns) * 1e-9)
+        (_seconds(posture.stamp_ns, origin_ns), (sent_ns[posture.stamp_ns] - posture.sent_ns) * 1e-9)
         for posture in human
         if posture.stamp_ns in sent_ns
     ]

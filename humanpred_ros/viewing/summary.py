@@ -10,7 +10,6 @@ from collections import Counter
 import numpy as np
 
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.viewing.clearance import Clearance, measure_clearance
 from humanpred_ros.viewing.reliability import measure_calibration
 from humanpred_ros.viewing.run import WHOLE_REACH_PERCENT, Run
 from humanpred_ros.viewing.run_summary import (
@@ -24,9 +23,8 @@ from humanpred_ros.viewing.run_summary import (
     StepRow,
     Switch,
 )
-from humanpred_ros.viewing.summary_tables import print_summary
 from humanpred_ros.viewing.tracks import RobotTrack
-from humanpred_ros.viewing.workcell import Workcell, load_workcell
+from humanpred_ros.viewing.workcell import Clearance, Workcell, load_workcell, measure_clearance
 
 #: Largest joint error at which a goal counts as reached.
 GOAL_TOLERANCE_RAD = 0.02
@@ -256,6 +254,3 @@ def _outcome(run: Run, reached: Reached | None) -> str:
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
-
-
-__all__ = ["GOAL_TOLERANCE_RAD", "RunSummary", "print_summary", "summarise"]

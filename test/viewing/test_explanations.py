@@ -15,17 +15,16 @@ from rich.console import Console
 
 from humanpred_ros.robot.goal import Goal
 from humanpred_ros.robot.scene import Scene
-from humanpred_ros.viewing.clearance import measure_clearance
 from humanpred_ros.viewing.figures import goal_colours, report_style
-from humanpred_ros.viewing.goal_columns import told_of_goals
+from humanpred_ros.viewing.key_figures import key_figures, print_summary
 from humanpred_ros.viewing.plots_decisions import cost_terms_plot, goal_costs_plot
 from humanpred_ros.viewing.plots_space import top_view_plot
 from humanpred_ros.viewing.plots_time import clearance_plot
-from humanpred_ros.viewing.report import key_figures, render_report
+from humanpred_ros.viewing.report import render_report, told_of_goals
 from humanpred_ros.viewing.run import Run, read_run
-from humanpred_ros.viewing.summary import print_summary, summarise
+from humanpred_ros.viewing.summary import summarise
 from humanpred_ros.viewing.tracks import GoalPlan, RecordedDecision
-from humanpred_ros.viewing.workcell import Workcell, load_workcell
+from humanpred_ros.viewing.workcell import Workcell, load_workcell, measure_clearance
 
 COLOURS = goal_colours(("red", "blue"))
 SET_ASIDE = "the person is likely to come within 0.02 m of r_wrist_roll there"

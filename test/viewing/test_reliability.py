@@ -17,9 +17,8 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.robot.scene import Scene
 from humanpred_ros.viewing import reliability
 from humanpred_ros.viewing.reliability import AT_REST, MOVING, measure_calibration
-from humanpred_ros.viewing.run import Run, read_run
+from humanpred_ros.viewing.run import EvenSample, Run, read_run
 from humanpred_ros.viewing.run_summary import OccupancyCalibration
-from humanpred_ros.viewing.topic_loader import EvenSample
 from humanpred_ros.viewing.tracks import OccupancySnapshot
 from humanpred_ros.viewing.workcell import load_workcell
 

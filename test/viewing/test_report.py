@@ -16,17 +16,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.viewing.clearance import measure_clearance
 from humanpred_ros.viewing.figures import goal_colours, report_style, svg_of
+from humanpred_ros.viewing.key_figures import key_figures
 from humanpred_ros.viewing.plots_decisions import cost_terms_plot, goal_costs_plot, posterior_plot
-from humanpred_ros.viewing.plots_reliability import reliability_plot
 from humanpred_ros.viewing.plots_space import snapshots_plot, top_view_plot
 from humanpred_ros.viewing.plots_time import occupancy_plot
-from humanpred_ros.viewing.report import key_figures, render_report, reproduce_command, write_report
+from humanpred_ros.viewing.reliability import reliability_plot
+from humanpred_ros.viewing.report import render_report, reproduce_command, write_report
 from humanpred_ros.viewing.run import Run, read_run
 from humanpred_ros.viewing.run_summary import RunSummary
 from humanpred_ros.viewing.summary import summarise
-from humanpred_ros.viewing.workcell import load_workcell
+from humanpred_ros.viewing.workcell import load_workcell, measure_clearance
 
 COLOURS = goal_colours(("red", "blue"))
 VOID = {"meta", "link", "br", "img", "input", "hr"}
@@ -138,7 +138,7 @@ def test_report_is_replaced_as_a_whole_or_not_at_all(
     full: Run, full_summary: RunSummary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rendered = "new \N{GREEK SMALL LETTER PI}"
-    monkeypatch.setattr("humanpred_ros.viewing.report.render_report", lambda run, summary: rendered)
+    monkeypatch.setattr("humanpred_ros.viewing.report.render_report", lambda *run: rendered)
     path = tmp_path / "report.html"
     path.write_text("old", encoding="utf-8")
     write_report(full, full_summary, path)
