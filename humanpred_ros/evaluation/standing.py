@@ -11,8 +11,7 @@ from humanpred_ros.errors import LibraryFormatError
 from humanpred_ros.evaluation.streams.truth import motion_span, palm_speed
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.motion import Motion
-from humanpred_ros.motion.resampling import unwrap_angles
+from humanpred_ros.motion.motion import Motion, unwrap_angles
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ import numpy as np
 from humanpred_ros.errors import LibraryFormatError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.motion.resampling import is_angle, unwrap_angles
+from humanpred_ros.motion.motion import Motion, MotionLibrary, is_angle, unwrap_angles
 
 #: Reasons of flags, with the unit of their value and what they mean.
 REASONS = {

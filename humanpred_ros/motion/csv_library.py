@@ -1,17 +1,17 @@
-"""Reads and writes motion libraries as one CSV file per class, the form the papers' recordings come in.
+"""Reads and writes motion libraries as one CSV file per class, the form of the papers' recordings.
 
 Three layouts are read; the class is the number in the file name:
 
 - `class_<k>.csv` with header `traj_id,frame,<DoFs>`: stamps are assumed, one frame period apart;
 - `class_<k>.csv` with header `traj_id,raw_frame,t_s,<DoFs>`: recorded stamps;
-- `compound_<k>.csv` without header: frame and the 12 DoFs, a motion starts where the frame is 0 (facts, section 1).
+- `compound_<k>.csv` without header: frame and the 12 DoFs, a motion starts where the frame is 0 (docs/papers.md,
+  P1 library).
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,27 +19,14 @@ import numpy as np
 from humanpred_ros.errors import LibraryFormatError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.kinect import KINECT12_DOFS
+from humanpred_ros.motion.csv_files import Table, read_table
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 
 #: Assumed where a library has no stamps: 100 frames then last 1.65 s, as long as the recorded motion 77 of library_a.
 DEFAULT_FRAME_PERIOD_S = 1.0 / 60.0
 
-_CLASS_FILE = re.compile(r"(class|compound)_(\d+)\.csv")
+_CLASS_FILE = re.compile(r"(class|compound)_(\d+)\.csv", re.IGNORECASE)
 _FRAME_COLUMNS = ("frame", "raw_frame")
-
-
-@dataclass(frozen=True)
-class _Table:
-    """The numbers of one file: columns by name, and the line each row stands on."""
-
-    path: Path
-    columns: tuple[str, ...]
-    rows: FloatArray
-    lines: Sequence[int]
-
-    def __getitem__(self, column: str) -> FloatArray:
-        values: FloatArray = self.rows[:, self.columns.index(column)]
-        return values
 
 
 def class_files(folder: Path) -> dict[int, Path]:
@@ -94,7 +81,7 @@ def read_csv_library(
     motions: list[Motion] = []
     stamps: set[str] = set()
     for label, path in files.items():
-        table = _read_table(path, tuple(dof_names))
+        table = _read_class_file(path, tuple(dof_names))
         stamps.add("recorded" if "t_s" in table.columns else f"assumed: one frame every {frame_period_s:.9g} s")
         q = table.rows[:, [table.columns.index(name) for name in dof_names]]
         for index, rows in _trajectories(table):
@@ -141,69 +128,16 @@ def write_csv_library(library: MotionLibrary, folder: str | Path) -> None:
         (folder / f"class_{label}.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _read_table(path: Path, dof_names: tuple[str, ...]) -> _Table:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as trouble:
-        raise LibraryFormatError(f"{path}: cannot be read as text ({trouble})") from trouble
-    lines = text.splitlines()
-    numbers = [number for number, line in enumerate(lines, start=1) if line.strip()]
-    if not numbers:
-        raise LibraryFormatError(f"{path}: wanted rows of postures, the file is empty")
-    if path.name.startswith("compound"):
-        columns: tuple[str, ...] = ("frame", *dof_names)
-    else:
-        columns = tuple(name.strip() for name in lines[numbers[0] - 1].split(","))
-        _check_header(path, numbers.pop(0), columns, dof_names)
-    if not numbers:
-        raise LibraryFormatError(f"{path}: wanted rows of postures below the header, got none")
-    body = [lines[number - 1] for number in numbers]
-    try:
-        rows: FloatArray = np.loadtxt(body, delimiter=",", ndmin=2, comments=None, dtype=np.float64)
-    except ValueError:
-        raise _explain(path, numbers, body, columns) from None
-    if rows.shape[1] != len(columns):
-        raise _explain(path, numbers, body, columns)
-    if not np.isfinite(rows).all():
-        row, column = (int(i) for i in np.argwhere(~np.isfinite(rows))[0])
-        raise LibraryFormatError(
-            f"{path}:{numbers[row]}: column {columns[column]}: wanted a finite number, got {rows[row, column]}; "
-            "remove or repair the motion"
-        )
-    return _Table(path, columns, rows, numbers)
+def _read_class_file(path: Path, dof_names: tuple[str, ...]) -> Table:
+    if path.name.lower().startswith("compound"):
+        return read_table(path, ("frame", *dof_names), headless=True)
+    table = read_table(path, ("traj_id", *dof_names), optional=(*_FRAME_COLUMNS, "t_s"))
+    if not set(_FRAME_COLUMNS) & set(table.columns):
+        raise LibraryFormatError(f"{path}: columns missing: frame (or raw_frame); number the frames of each motion")
+    return table
 
 
-def _check_header(path: Path, line: int, columns: tuple[str, ...], dof_names: tuple[str, ...]) -> None:
-    twice = {name for name in columns if columns.count(name) > 1}
-    extra = [name for name in columns if name not in (*dof_names, "traj_id", "t_s", *_FRAME_COLUMNS)]
-    missing = [name for name in dof_names if name not in columns]
-    if "traj_id" not in columns:
-        missing.insert(0, "traj_id")
-    if not any(name in columns for name in _FRAME_COLUMNS):
-        missing.insert(0, "frame (or raw_frame)")
-    for names, what in ((sorted(twice), "twice"), (extra, "unknown"), (missing, "missing")):
-        if names:
-            wanted = f"traj_id, frame, [t_s,] {', '.join(dof_names)}"
-            raise LibraryFormatError(f"{path}:{line}: columns {what}: {', '.join(names)}; wanted {wanted}")
-
-
-def _explain(path: Path, numbers: Sequence[int], body: Sequence[str], columns: tuple[str, ...]) -> LibraryFormatError:
-    """Find the line that NumPy's fast reader stumbled over."""
-    for number, line in zip(numbers, body, strict=True):
-        cells = line.split(",")
-        if len(cells) != len(columns):
-            return LibraryFormatError(
-                f"{path}:{number}: wanted {len(columns)} columns, got {len(cells)}; repair the row"
-            )
-        for name, cell in zip(columns, cells, strict=True):
-            try:
-                np.float64(cell)
-            except ValueError:
-                return LibraryFormatError(f"{path}:{number}: column {name}: wanted a number, got {cell.strip()!r}")
-    return LibraryFormatError(f"{path}: wanted rows of {len(columns)} numbers separated by commas")
-
-
-def _trajectories(table: _Table) -> Iterator[tuple[int, slice]]:
+def _trajectories(table: Table) -> Iterator[tuple[int, slice]]:
     """Yield (index, rows) of each motion in the file, in file order."""
     path = table.path
     if "traj_id" in table.columns:
@@ -230,7 +164,7 @@ def _trajectories(table: _Table) -> Iterator[tuple[int, slice]]:
         yield index, slice(start, stop)
 
 
-def _stamps(table: _Table, rows: slice, frame_period_s: float) -> FloatArray:
+def _stamps(table: Table, rows: slice, frame_period_s: float) -> FloatArray:
     frame = next(name for name in _FRAME_COLUMNS if name in table.columns)
     timed = "t_s" in table.columns
     # Whole nanoseconds are what a Motion keeps: two stamps that differ by less are one.

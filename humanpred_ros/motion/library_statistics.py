@@ -16,8 +16,7 @@ from humanpred_ros.errors import LibraryFormatError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.cleaning import clean_library
-from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.motion.resampling import resample_phase, unwrap_angles
+from humanpred_ros.motion.motion import Motion, MotionLibrary, resample_phase, unwrap_angles
 
 #: Postures a motion is resampled to: one per percent of its duration, as P1's libraries are.
 _N_PHASES = 101

@@ -2,12 +2,13 @@
 
 A folder holds two CSV files for each recording, `<name>_active.csv` of the person who reaches and `<name>_passive.csv`
 of the partner: a header, the column `t` in seconds, and one column for each DoF of the 23-DoF human. Motion capture
-loses markers now and then; what can be mended is mended and noted (angles that wrap), what cannot be judged by a
-program is marked and kept (jumps), and what cannot be used at all is refused with the recording's name.
+loses markers now and then. Angles that wrap are unwrapped, with a note; jumps, which a program cannot judge, are marked
+and kept; what cannot be used at all (wrong units, one person recorded as two) is refused with the recording's name.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,40 +17,60 @@ import numpy as np
 from humanpred_ros.errors import LibraryFormatError, MotionError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.motion import Motion
-from humanpred_ros.motion.reach_csv import read_table
-from humanpred_ros.motion.reach_plausibility import check_two_people, check_units, doubts
-from humanpred_ros.motion.resampling import is_angle, unwrap_angles
+from humanpred_ros.motion.csv_files import read_table
+from humanpred_ros.motion.motion import Motion, is_angle, unwrap_angles
+from humanpred_ros.settings import Settings, setting
 
 ACTIVE, PASSIVE = "active", "passive"
+#: Title of the column of stamps.
+TIME = "t"
 #: Frame of the motion-capture system, z up, the floor at zero.
 FRAME_ID = "mocap"
 #: Links at which a jump shows.
 WATCHED_LINKS = ("right_elbow", "right_wrist", "right_palm")
+#: Joints turn by less than this, whole turns of an unwrapped recording included: degrees go beyond.
+_MOST_RAD = 20.0
+#: No room for motion capture is larger: centimetres and millimetres go beyond.
+_MOST_M = 20.0
+#: Frames of motion capture are 2 to 10 ms apart, of a depth camera 33 ms: milliseconds and nanoseconds go beyond.
+_PERIOD_S = (0.0005, 0.2)
+#: Upper arms and forearms of children and giants, also with badly placed markers.
+_BONE_M = (0.05, 1.0)
+#: A hand that goes less than this does not reach.
+_LEAST_WAY_M = 0.05
+#: A hand that ends nearer to where it began than this share of the farthest it was has come back.
+_BACK_SHARE = 0.25
 
 
-@dataclass(frozen=True)
-class ReachRecordingConfig:
-    """What is refused and what is marked.
+class ReachRecordingConfig(Settings):
+    """What is refused and what is marked in a recording of two people."""
 
-    Attributes:
-        synchrony_s: stamps of the two people may differ by so much, about a third of a frame at 100 Hz.
-        gap_factor: a step of time longer than this many times the median is noted as a gap.
-        jump_speed_m_s: a faster one-frame step of elbow, wrist or palm is a jump, if it is isolated. Own judgement:
-            P2's reaches stay below 2.1 m/s, its jumps begin at 3.6 m/s.
-        jump_speed_rad_s: the same for an angle, which can jump though no watched link does: a hand turned about
-            itself, or three angles that flip to others of the same posture. P2's people stay below 29 rad/s.
-        jump_isolation: a jump is also this many times the median speed within five frames, so that somebody who
-            moves fast is not one.
-        least_frames: a shorter motion is not learned from: the jerk's difference spans 7 frames (facts section 4).
-    """
-
-    synchrony_s: float = 0.003
-    gap_factor: float = 3.0
-    jump_speed_m_s: float = 3.0
-    jump_speed_rad_s: float = 50.0
-    jump_isolation: float = 3.0
-    least_frames: int = 7
+    synchrony_s: float = setting(
+        0.003, "stamps of the two people may differ by so much, about a third of a frame at 100 Hz", unit="s", low=0.0
+    )
+    gap_factor: float = setting(3.0, "a step of time longer than this many times the median is noted as a gap", low=1.0)
+    jump_speed_m_s: float = setting(
+        3.0,
+        "a faster one-frame step of elbow, wrist or palm is a jump, if it is isolated; own judgement: P2's reaches "
+        "stay below 2.1 m/s, its jumps begin at 3.6 m/s",
+        unit="m/s",
+        low=0.0,
+    )
+    jump_speed_rad_s: float = setting(
+        50.0,
+        "the same for an angle, which can jump though no watched link does (a hand turned about itself, or three "
+        "angles that flip to others of the same posture); P2's people stay below 29 rad/s",
+        unit="rad/s",
+        low=0.0,
+    )
+    jump_isolation: float = setting(
+        3.0, "a jump is also this many times the median speed within five frames; fast movement is not", low=0.0
+    )
+    least_frames: int = setting(
+        7,
+        "a shorter motion is not learned from: the jerk's difference spans 7 frames (docs/papers.md, P2 features)",
+        low=2,
+    )
 
 
 @dataclass(frozen=True)
@@ -80,7 +101,7 @@ class ReachRecording:
 
     Attributes:
         name: of the recording, usually its first and last frame in the session.
-        active: who reaches; angles are unwrapped from a first one within half a turn of zero, stamps begin at 0.
+        active: the person who reaches; angles are unwrapped and begin within half a turn of zero, stamps begin at 0.
         passive: the partner.
         jumps: marked steps of both, by frame.
         notes: sentences about what was mended or looks doubtful.
@@ -92,7 +113,7 @@ class ReachRecording:
     passive: Motion
     jumps: tuple[Jump, ...] = ()
     notes: tuple[str, ...] = ()
-    least_frames: int = ReachRecordingConfig.least_frames
+    least_frames: int = 7
 
     def __post_init__(self) -> None:
         if len(self.active) != len(self.passive) or self.active.dof_names != self.passive.dof_names:
@@ -163,7 +184,7 @@ def read_reach_recording(
     """Return one recording; errors as `load_reach_recordings` has them."""
     config = config or ReachRecordingConfig()
     tables = {
-        role: read_table(f"recording {name}, {role} ({path})", path, model.dof_names)
+        role: _read_person(f"recording {name}, {role}", path, model.dof_names)
         for role, path in ((ACTIVE, active), (PASSIVE, passive))
     }
     stamps = {role: table[:, 0] for role, table in tables.items()}
@@ -200,9 +221,22 @@ def read_reach_recording(
         notes += [f"{role}: {text}" for text in (*_wraps(motion, smooth), *turned, *_gaps(motion, config))]
         jumps += find_jumps(motions[role], role, model, config)
     notes += [f"{jump.role}: {jump}" for jump in jumps]
-    check_two_people(f"recording {name}", motions[ACTIVE], motions[PASSIVE])
+    if np.array_equal(motions[ACTIVE].q, motions[PASSIVE].q):
+        raise MotionError(
+            f"recording {name}: wanted two people, got the same postures for both; one file is a copy of the other, "
+            "replace it"
+        )
     notes += doubts(motions[ACTIVE], motions[PASSIVE], model)
     return ReachRecording(name, motions[ACTIVE], motions[PASSIVE], tuple(jumps), tuple(notes), config.least_frames)
+
+
+def write_reach_recording(folder: Path, name: str, active: Motion, passive: Motion) -> None:
+    """Write `<name>_active.csv` and `<name>_passive.csv`; reading them gives the same numbers."""
+    for role, motion in ((ACTIVE, active), (PASSIVE, passive)):
+        # repr of a float is the shortest text that reads back as the same number.
+        lines = [",".join(repr(float(x)) for x in (t, *q)) for t, q in zip(motion.t_s, motion.q, strict=True)]
+        text = "\n".join([",".join((TIME, *motion.dof_names)), *lines]) + "\n"
+        (folder / f"{name}_{role}.csv").write_text(text, encoding="utf-8")
 
 
 def find_jumps(
@@ -223,6 +257,17 @@ def find_jumps(
     for k, which, speed in _isolated(turning, config.jump_speed_rad_s, config):
         jumps.setdefault(k + 1, Jump(role, k + 1, motion.dof_names[angles[which]], speed, "rad/s"))
     return tuple(jumps[frame] for frame in sorted(jumps))
+
+
+def _read_person(where: str, path: Path, dof_names: Sequence[str]) -> FloatArray:
+    """Return the stamps and DoFs (T, 1 + D) of one person's file; further columns are not read."""
+    try:
+        table = read_table(path, (TIME, *dof_names))
+    except LibraryFormatError as trouble:
+        raise LibraryFormatError(f"{where}: {trouble}") from trouble
+    if len(table.rows) < 2:
+        raise LibraryFormatError(f"{where}: {path}: wanted at least 2 frames, got 1; remove the recording")
+    return np.stack([table[column] for column in (TIME, *dof_names)], axis=1)
 
 
 def _isolated(speed: FloatArray, limit: float, config: ReachRecordingConfig) -> list[tuple[int, int, float]]:
@@ -268,3 +313,64 @@ def _gaps(motion: Motion, config: ReachRecordingConfig) -> list[str]:
     step = np.diff(motion.t_s)
     late = np.flatnonzero(step > config.gap_factor * np.median(step))
     return [f"{1e3 * step[k]:.0f} ms without a frame before frame {int(k) + 1}" for k in late]
+
+
+def check_units(where: str, t_s: FloatArray, q: FloatArray, dof_names: Sequence[str]) -> None:
+    """Refuse stamps (T,) and postures (T, D) that are not in seconds, metres and radians.
+
+    Raises:
+        MotionError: with the first DoF that cannot be so.
+    """
+    period = float(np.median(np.diff(t_s)))
+    if not _PERIOD_S[0] <= abs(period) <= _PERIOD_S[1] and period != 0.0:
+        raise MotionError(
+            f"{where}: wanted stamps in seconds, {_PERIOD_S[0]} to {_PERIOD_S[1]} s apart, got {period:g} as the "
+            "median step; convert them, they look like another unit"
+        )
+    most = np.abs(q).max(axis=0)
+    for name, value, column in zip(dof_names, most, q.T, strict=True):
+        if is_angle(name):
+            if value > _MOST_RAD:
+                raise MotionError(
+                    f"{where}: wanted angles in radians, got {value:g} for {name}; convert them, they look like degrees"
+                )
+            continue
+        if value > _MOST_M:
+            raise MotionError(
+                f"{where}: wanted lengths in metres, got {value:g} for {name}; convert them, they look like "
+                f"{'millimetres' if value > 500.0 else 'centimetres'}"
+            )
+        length = float(np.median(column))
+        if name.endswith("Trans") and not _BONE_M[0] <= length <= _BONE_M[1]:
+            raise MotionError(
+                f"{where}: wanted the bone {name} between {_BONE_M[0]} and {_BONE_M[1]} m, got {length:g} as the "
+                "median; check its unit and sign"
+            )
+
+
+def doubts(active: Motion, passive: Motion, model: HumanModel, hand: str = "right_palm") -> list[str]:
+    """Return sentences on whether the files are swapped, nobody reaches, or the hand comes back."""
+    (mine, end_m), (theirs, _) = (_way_m(motion, model, hand) for motion in (active, passive))
+    if theirs > max(mine, _LEAST_WAY_M):
+        return [
+            f"the partner's hand goes farther ({theirs:.2f} m) than that of who reaches ({mine:.2f} m); check that the "
+            "files are not swapped"
+        ]
+    if mine < _LEAST_WAY_M:
+        return [f"the hand of who reaches goes only {mine:.2f} m; check that this is a reach"]
+    if end_m < _BACK_SHARE * mine:
+        return [
+            f"the hand ends {end_m:.2f} m from where it began, after {mine:.2f} m: a reach and the way back? cut it at "
+            "the turn"
+        ]
+    return []
+
+
+def _way_m(motion: Motion, model: HumanModel, hand: str) -> tuple[float, float]:
+    """Return how far the hand is from where it began: at the farthest, and in the end.
+
+    "Farthest" leaves out a tenth of the frames: a lost marker displaces the hand for a frame or two.
+    """
+    place = model.forward(motion.q)[hand]
+    far = np.linalg.norm(place - place[0], axis=1)
+    return float(np.quantile(far, 0.9)), float(far[-1])

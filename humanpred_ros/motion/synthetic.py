@@ -1,37 +1,48 @@
-"""Records a person who was never there, so that the package works and is tested without anybody's recordings.
+"""Makes a synthetic motion library: the package works and is tested without recordings of people.
 
-A session goes as P1's went: the person stands at a table with eight places and reaches to one after the other and back,
-in rounds, so that nothing about where somebody stands tells which place comes next. Hand paths
-(`hand_path`), the body that follows (`reaching_body`) and the sensor (`depth_camera`) are modelled apart from each
-other; this module is the session.
+A session is like P1's: the person stands at a table with eight places and reaches to one after the other and back, in
+rounds, so that where somebody stands does not tell which place comes next. Hand and body (`synthetic_person`) and the
+depth camera are modelled independently of each other.
 
-What is delivered is what a tracker would deliver: the posture of a frame is computed from its noisy points. A frame
-whose points do not determine all 12 DoFs has no posture and is left out, points and all; nothing is filled in. A frame
-that lacks only points that are not needed for the posture (legs, say) stays, with NaN for these.
+The result is what a tracker delivers: the posture of a frame is computed from its noisy points. A frame whose points do
+not determine all 12 DoFs is left out; nothing is filled in. A frame that lacks only points that the posture does not
+need (legs, say) stays, with NaN for these.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from humanpred_ros import __version__
-from humanpred_ros.errors import GoalUnreachableError, MotionError, UsageError
+from humanpred_ros.errors import GoalUnreachableError, MotionError, SettingsError
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.human.kinect import KINECT12_DOFS, KinectSkeleton
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.depth_camera import DepthCamera, DepthCameraConfig, Recording
-from humanpred_ros.motion.hand_path import HandPathConfig, draw_hand_path
-from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.motion.reaching_body import BodyConfig, ReachingBody, slow_noise
+from humanpred_ros.motion.motion import SKELETON_POINTS, Motion, MotionLibrary
+from humanpred_ros.motion.synthetic_person import BodyConfig, HandPathConfig, ReachingBody, draw_hand_path, slow_noise
+from humanpred_ros.settings import Settings, setting
 
 #: Postures are delivered in whole steps of this size, metres and radians; library_b's have five decimals.
 _POSTURE_STEP = 2.0**-17
 #: A motion with fewer frames shows no reach.
 _LEAST_FRAMES = 10
+
+
+_LIMBS = np.array([name.endswith(("elbow", "hand", "knee", "foot")) for name in SKELETON_POINTS])
+_TORSO = SKELETON_POINTS.index("torso")
+#: Lever that turns an error of the trunk's place into one of its direction, metres; half a trunk's size.
+_LEVER_M = 0.25
+#: Behind the table, most of the time.
+_LEGS = np.array([name.endswith(("knee", "foot")) for name in SKELETON_POINTS])
+#: Frames after which smoothing has forgotten how it began.
+_SETTLING = 15
+#: Independent errors of a frame: three of each point, and shift and turn of the trunk.
+_ERRORS = 3 * len(SKELETON_POINTS) + 6
 
 
 def table_grid(
@@ -43,7 +54,7 @@ def table_grid(
 ) -> tuple[tuple[float, float, float], ...]:
     """Return places on a table, row by row; class k is at place k.
 
-    Defaults: the grid that fits library_a's goals best (within 3 cm; facts, section 2), with its numbering: 0 to 3
+    Defaults: the grid that fits library_a's places best (within 3 cm), with its numbering: 0 to 3
     near the person, from right to left, 4 to 7 behind them. They are 0.25 m apart, the rows 0.27 m.
     """
     first, column, row = np.asarray(first_m), np.asarray(column_m), np.asarray(row_m)
@@ -51,59 +62,171 @@ def table_grid(
     return tuple((float(x), float(y), float(z)) for x, y, z in places)
 
 
-@dataclass(frozen=True)
-class ReachGeneratorConfig:
-    """A recording session.
+class DepthCameraConfig(Settings):
+    """A camera like the first Kinect with OpenNI's tracker.
 
-    Attributes:
-        name: of the library.
-        motions_per_class: rounds; in every round each goal is reached once.
-        goals_m: where the palm goes, class by class, in the tracker's frame.
-        order: of the classes within a round.
-        frame_id: of the tracker; x and y as library_a's, so that scenes made for it fit.
-        rest_q: the person's average resting posture (12,): stands as in library_a, holds the arm as in library_b.
-        rest_spread: its standard deviation (12,): the usual one (robust) of library_b's first frames, less what the
-            tracker adds.
-        round_share: share of that variance that is common to the motions of a round; the rest drifts from motion to
-            motion.
-        drift_memory: share of one motion's drift that is left at the next.
-        goal_spread_m: standard deviation of where the palm stops, x, y, z.
-        path, body, camera: how hand, body and sensor behave.
+    Sizes are chosen so that the resulting postures tremble as much as library_b's at rest (palm 3 mm within 0.3 s,
+    1 mm from frame to frame).
     """
 
-    name: str = "synthetic_reaches"
-    motions_per_class: int = 25
-    goals_m: tuple[tuple[float, float, float], ...] = field(default_factory=table_grid)
-    order: Literal["shuffled", "ascending"] = "shuffled"
-    frame_id: str = "kinect"
-    rest_q: tuple[float, ...] = (-0.169, -1.821, 0.763, 1.25, 0.087, 0.125, -0.010, 1.60, 0.12, -0.10, 0.090, 0.42)
-    rest_spread: tuple[float, ...] = (0.03, 0.03, 0.01, 0.062, 0.014, 0.028, 0.003, 0.03, 0.045, 0.16, 0.008, 0.09)
-    round_share: float = 0.45
-    drift_memory: float = 0.7
-    goal_spread_m: tuple[float, float, float] = (0.016, 0.020, 0.013)
-    path: HandPathConfig = field(default_factory=HandPathConfig)
-    body: BodyConfig = field(default_factory=BodyConfig)
-    camera: DepthCameraConfig = field(default_factory=DepthCameraConfig)
+    position_m: tuple[float, float, float] = setting(
+        (0.25, 0.75, 1.10), "the lens, in the tracker's frame; depth is the distance from it", unit="m"
+    )
+    rate_hz: float = setting(30.0, "frames per second", unit="Hz", low=1e-3)
+    stamp_jitter_s: float = setting(0.0015, "standard deviation of the stamps' delay", unit="s", low=0.0)
+    noise_m: float = setting(
+        0.0025,
+        "standard deviation of the trunk's place across the line of sight, before smoothing; it turns by as much on a "
+        "lever of 0.25 m",
+        unit="m",
+        low=0.0,
+    )
+    depth_factor: float = setting(2.0, "how much larger errors are along the line of sight", low=0.0)
+    limb_factor: float = setting(
+        1.6,
+        "how much larger they are for elbows, hands, knees and feet, which are thin and move; theirs are independent "
+        "of each other",
+        low=0.0,
+    )
+    trunk_play: float = setting(
+        0.05,
+        "each trunk point's own error as a share of the trunk's; trackers fit the trunk as one piece: in library_b its "
+        "twist TorsoZ stays within 0.004 rad at rest, while its yaw varies by 0.08",
+        low=0.0,
+    )
+    smoothing: float = setting(
+        0.6, "share of the previous output in each output (OpenNI's smoothing factor)", low=0.0, high=0.999
+    )
+    wander_m: float = setting(
+        0.004,
+        "standard deviation of the slow error, likewise (the tracker's model of the body slips)",
+        unit="m",
+        low=0.0,
+    )
+    wander_s: float = setting(0.8, "its time constant", unit="s", low=1e-9)
+    frame_loss: float = setting(0.01, "share of frames that never arrive", low=0.0, high=0.999)
+    losses_per_s: float = setting(0.015, "how often a point gets lost", unit="1/s", low=0.0)
+    leg_losses_per_s: float = setting(0.25, "the same for knees and feet, behind the table", unit="1/s", low=0.0)
+    loss_s: float = setting(0.10, "mean duration of a loss", unit="s", low=1e-9)
+    step_m: float = setting(2.0**-13, "points are delivered in whole steps of this size", unit="m", low=1e-12)
 
-    def __post_init__(self) -> None:
-        n = len(KINECT12_DOFS)
-        checked("goals_m", self.goals_m, ("K", 3), error=UsageError)
-        checked("rest_q", self.rest_q, (n,), error=UsageError)
-        for name, size in (("rest_spread", n), ("goal_spread_m", 3)):
-            if (checked(name, getattr(self, name), (size,), error=UsageError) < 0).any():
-                raise UsageError(f"{name}: wanted standard deviations, not negative, got {getattr(self, name)}")
-        if self.motions_per_class < 1 or not self.goals_m:
-            raise UsageError(
-                f"synthetic library: wanted at least 1 motion per class and 1 goal, got {self.motions_per_class} "
-                f"and {len(self.goals_m)}"
-            )
-        if not (0 <= self.round_share <= 1 and 0 <= self.drift_memory < 1):
-            raise UsageError(
-                f"synthetic library: wanted round_share within 0 to 1 and drift_memory from 0 to below 1, "
-                f"got {self.round_share} and {self.drift_memory}"
-            )
-        if self.order not in ("shuffled", "ascending"):
-            raise UsageError(f"order: wanted 'shuffled' or 'ascending', got {self.order!r}")
+
+class ReachGeneratorConfig(Settings):
+    """A recording session."""
+
+    name: str = setting("synthetic_reaches", "name of the library")
+    motions_per_class: int = setting(25, "rounds; in every round each place is reached once", low=1)
+    goals_m: tuple[tuple[float, float, float], ...] = setting(
+        table_grid(), "where the palm goes, class by class, in the tracker's frame", unit="m"
+    )
+    order: Literal["shuffled", "ascending"] = setting("shuffled", "order of the classes within a round")
+    frame_id: str = setting("kinect", "frame of the tracker; x and y as library_a's, so that scenes made for it fit")
+    rest_q: tuple[float, ...] = setting(
+        (-0.169, -1.821, 0.763, 1.25, 0.087, 0.125, -0.010, 1.60, 0.12, -0.10, 0.090, 0.42),
+        "the person's average resting posture: stands as in library_a, holds the arm as in library_b",
+    )
+    rest_spread: tuple[float, ...] = setting(
+        (0.03, 0.03, 0.01, 0.062, 0.014, 0.028, 0.003, 0.03, 0.045, 0.16, 0.008, 0.09),
+        "its standard deviation: the usual one (robust) of library_b's first frames, less what the tracker adds",
+        low=0.0,
+    )
+    round_share: float = setting(
+        0.45,
+        "share of that variance that is common to the motions of a round; the rest drifts from motion to motion",
+        low=0.0,
+        high=1.0,
+    )
+    drift_memory: float = setting(0.7, "share of one motion's drift that is left at the next", low=0.0, high=0.999)
+    goal_spread_m: tuple[float, float, float] = setting(
+        (0.016, 0.020, 0.013), "standard deviation of where the palm stops, x, y, z", unit="m", low=0.0
+    )
+    path: HandPathConfig = setting(HandPathConfig(), "how the hand behaves")
+    body: BodyConfig = setting(BodyConfig(), "how the body behaves")
+    camera: DepthCameraConfig = setting(DepthCameraConfig(), "how the sensor behaves")
+
+    def check(self) -> None:
+        """Refuse postures of another length and a session without places."""
+        for name in ("rest_q", "rest_spread"):
+            checked(name, getattr(self, name), (len(KINECT12_DOFS),), error=SettingsError)
+        if not checked("goals_m", self.goals_m, ("K", 3), error=SettingsError).size:
+            raise SettingsError("goals_m: wanted at least one place, got none")
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What arrives of a person.
+
+    Attributes:
+        t_s: (T,) stamps, strictly increasing.
+        points_m: (T, 15, 3) in the order of SKELETON_POINTS, NaN where a point was lost.
+    """
+
+    t_s: FloatArray
+    points_m: FloatArray
+
+
+class DepthCamera:
+    """Observes skeletons; has no state between recordings."""
+
+    def __init__(self, config: DepthCameraConfig | None = None) -> None:
+        self.config = config or DepthCameraConfig()
+
+    def exposures_s(self, duration_s: float) -> FloatArray:
+        """Return the times (T,) at which the camera looks during a recording of that length, the first at 0."""
+        return np.arange(int(duration_s * self.config.rate_hz) + 1) / self.config.rate_hz
+
+    def observe(self, exposures_s: FloatArray, points_m: FloatArray, rng: np.random.Generator) -> Observed:
+        """Return what arrives of a person whose points at the exposures (T,) are `points_m` (T, 15, 3).
+
+        Raises:
+            ArrayError: wrong shapes, or points that are not finite.
+        """
+        config = self.config
+        t = checked("exposures_s", exposures_s, ("T",))
+        true = checked("points_m", points_m, (len(t), len(SKELETON_POINTS), 3))
+        # The tracker has watched the person before the recording starts: its smoothing has settled by then.
+        t = np.concatenate([t[0] - np.arange(_SETTLING, 0, -1) / config.rate_hz, t])
+        true = np.concatenate([np.repeat(true[:1], _SETTLING, axis=0), true])
+        noise = config.wander_m * self._errors(true, slow_noise(t, config.wander_s, _ERRORS, rng))
+        noise += config.noise_m * self._errors(true, rng.normal(size=(len(t), _ERRORS)))
+        sight = true - np.asarray(config.position_m)
+        sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
+        noise += (config.depth_factor - 1.0) * (noise * sight).sum(axis=-1, keepdims=True) * sight
+        seen = self._smoothed(true + noise, self._losses(len(t), rng))[_SETTLING:]
+        seen = np.round(seen / config.step_m) * config.step_m
+        # At most a third of a period either way: stamps keep their order whatever the jitter.
+        jitter = np.clip(config.stamp_jitter_s * rng.normal(size=len(t)), -0.3 / config.rate_hz, 0.3 / config.rate_hz)
+        arrived = rng.random(len(seen)) >= config.frame_loss
+        return Observed((t + jitter)[_SETTLING:][arrived], seen[arrived])
+
+    def _errors(self, true: FloatArray, noise: FloatArray) -> FloatArray:
+        """Return errors (T, 15, 3) in units of the trunk's, from unit noise (T, 51): points, trunk's shift and turn."""
+        own = noise[:, :-6].reshape(true.shape)
+        shift, turn = noise[:, None, -6:-3], noise[:, None, -3:] / _LEVER_M
+        trunk = shift + np.cross(turn, true - true[:, _TORSO : _TORSO + 1]) + self.config.trunk_play * own
+        errors: FloatArray = np.where(_LIMBS[:, None], self.config.limb_factor * own, trunk)
+        return errors
+
+    def _losses(self, n: int, rng: np.random.Generator) -> NDArray[np.bool_]:
+        """Draw which points are lost when (T, 15): each comes and goes as a two-state Markov chain."""
+        per_s = np.where(_LEGS, self.config.leg_losses_per_s, self.config.losses_per_s)
+        begin = 1.0 - np.exp(-per_s / self.config.rate_hz)
+        end = 1.0 - np.exp(-1.0 / (self.config.loss_s * self.config.rate_hz))
+        chance = rng.random((n, len(SKELETON_POINTS)))
+        lost = np.zeros(chance.shape, dtype=bool)
+        for k in range(n):
+            before = lost[k - 1] if k else np.zeros(len(SKELETON_POINTS), dtype=bool)
+            lost[k] = np.where(before, chance[k] >= end, chance[k] < begin)
+        return lost
+
+    def _smoothed(self, raw: FloatArray, lost: NDArray[np.bool_]) -> FloatArray:
+        """Smooth points (T, 15, 3) as the tracker does; after a loss its smoothing starts again."""
+        s = self.config.smoothing
+        raw = np.where(lost[..., None], np.nan, raw)
+        seen = raw.copy()
+        for k in range(1, len(raw)):
+            seen[k] = np.where(np.isnan(seen[k - 1]), raw[k], s * seen[k - 1] + (1.0 - s) * raw[k])
+        return seen
 
 
 def generate_library(config: ReachGeneratorConfig, rng: np.random.Generator) -> MotionLibrary:
@@ -121,7 +244,7 @@ def generate_library(config: ReachGeneratorConfig, rng: np.random.Generator) -> 
         "generator": f"humanpred_ros {__version__}",
         "seed": _seed_of(rng),
         "stamps": f"synthetic, {config.camera.rate_hz:g} Hz with jitter and lost frames",
-        "config": json.dumps(asdict(config), sort_keys=True),
+        "config": json.dumps(config.model_dump(), sort_keys=True),
     }
     human = HumanModel.kinect12()
     body, skeleton = ReachingBody(human, config.body), KinectSkeleton(human)
@@ -142,7 +265,7 @@ def generate_library(config: ReachGeneratorConfig, rng: np.random.Generator) -> 
     return MotionLibrary(config.name, tuple(motions), provenance)
 
 
-def _delivered(recording: Recording, skeleton: KinectSkeleton, label: int, index: int, frame_id: str) -> Motion:
+def _delivered(recording: Observed, skeleton: KinectSkeleton, label: int, index: int, frame_id: str) -> Motion:
     """Return the motion a tracker delivers: the frames whose points determine a posture."""
     postures = skeleton.postures(recording.points_m)
     told = postures.complete

@@ -16,7 +16,7 @@ from humanpred_ros.errors import MotionError, UsageError
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.resampling import is_angle
+from humanpred_ros.motion.motion import is_angle
 from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
 from humanpred_ros.occupancy.voxeliser import DEFAULT_SPACING_M, BodyVoxeliser
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from humanpred_ros.geometry.checks import FloatArray, frozen
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.motion.resampling import unwrap_angles
+from humanpred_ros.motion.motion import Motion, MotionLibrary, unwrap_angles
 from humanpred_ros.reaching.best_reaches import best_reach
 from humanpred_ros.reaching.end_postures import EndPostures
 from humanpred_ros.reaching.excess_cost import N_PARTS, chosen_postures, excess_costs, reach_so_far

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.checks import FloatArray, frozen
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.motion.resampling import unwrap_angles
+from humanpred_ros.motion.motion import Motion, MotionLibrary, unwrap_angles
 from humanpred_ros.recognition.calibration import Calibration
 from humanpred_ros.recognition.class_mixtures import check_trainable
 from humanpred_ros.recognition.forest import Forest, IntArray, Tree, grow_tree

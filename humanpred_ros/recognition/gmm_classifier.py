@@ -9,8 +9,7 @@ import numpy as np
 
 from humanpred_ros.errors import ArrayError, MotionError, UsageError
 from humanpred_ros.geometry.checks import FloatArray, checked
-from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.motion.resampling import is_angle, unwrap_angles
+from humanpred_ros.motion.motion import Motion, MotionLibrary, is_angle, unwrap_angles
 from humanpred_ros.recognition.class_mixtures import ClassMixtures, fit_class_mixtures, refit_class_mixtures
 from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
 from humanpred_ros.recognition.gmm_config import GmmConfig

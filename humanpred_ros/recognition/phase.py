@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.motion.motion import Motion
-from humanpred_ros.motion.resampling import unwrap_angles
+from humanpred_ros.motion.motion import Motion, unwrap_angles
 from humanpred_ros.recognition.gmm_config import GmmConfig
 
 

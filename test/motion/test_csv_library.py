@@ -34,7 +34,7 @@ def test_the_papers_libraries_are_read_completely(name: str) -> None:
     assert {len(motion) for motion in library} == {100}
     assert library.dof_names == KINECT12_DOFS
     assert "assumed" in library.provenance["stamps"]
-    # With a sixtieth of a second per frame, motion 77 lasts as long as its recording did (facts, section 1).
+    # With a sixtieth of a second per frame, motion 77 lasts as long as its recording did (P1 library).
     assert library.find("3/2").duration_s == pytest.approx(1.65, abs=1e-9)
 
 
@@ -88,13 +88,13 @@ def changed(line: int, new: str | None) -> list[str]:
         (changed(3, "0,1," + ROW.replace("0.5", "nan", 1)), r"class_0\.csv:3: column PelvisTransX: .*nan"),
         (changed(4, "0,2," + ROW[:-3] + "-inf"), r"class_0\.csv:4: column rElbowZ: .*-inf"),
         (changed(3, "0,1," + ROW.replace("0.5", "wide", 1)), r"class_0\.csv:3: column PelvisTransX: .*'wide'"),
-        (changed(3, "0,1," + ROW + ",0.5"), r"class_0\.csv:3: wanted 14 columns, got 15"),
-        (changed(5, "1,0," + ROW[4:]), r"class_0\.csv:5: wanted 14 columns, got 13"),
+        (changed(3, "0,1," + ROW + ",0.5"), r"class_0\.csv:3: wanted 14 fields, got 15"),
+        (changed(5, "1,0," + ROW[4:]), r"class_0\.csv:5: wanted 14 fields, got 13"),
         (changed(4, "0,1," + ROW), r"class_0\.csv:4: frame: wanted values that increase .* 1 after 1"),
         (changed(2, "1,7," + ROW), r"class_0\.csv:2: trajectory 1: wanted at least 2 frames"),
         (changed(7, "0,9," + ROW), r"class_0\.csv:7: trajectory 0 appears twice"),
         (changed(2, "0.5,0," + ROW), r"class_0\.csv:2: traj_id: wanted a whole number"),
-        ([HEADER], r"class_0\.csv: wanted rows of postures below the header"),
+        ([HEADER], r"class_0\.csv: wanted rows of numbers below the header"),
         ([""], r"class_0\.csv: .*empty"),
     ],
 )

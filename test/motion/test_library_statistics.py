@@ -12,8 +12,7 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.cleaning import clean_library
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.library_statistics import comparison_markdown, library_statistics
-from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.motion.resampling import resample_phase
+from humanpred_ros.motion.motion import Motion, MotionLibrary, resample_phase
 
 REST = np.array([1.0, 2.0, 0.9, 0.7, 0.0, 0.0, 0.0, 1.4, 0.1, 0.0, 0.1, 0.4])
 

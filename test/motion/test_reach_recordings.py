@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ from paths import shared_data
 from reaching_people import MODEL, reach, write_csv, write_recording
 
 from humanpred_ros.errors import HumanPredError, LibraryFormatError, MotionError
-from humanpred_ros.motion.reach_recordings import ReachRecording, load_reach_recordings
+from humanpred_ros.motion.motion import Motion, is_angle
+from humanpred_ros.motion.reach_recordings import ReachRecording, check_units, doubts, load_reach_recordings
 
 
 @pytest.fixture
@@ -190,8 +192,8 @@ NAN[7, 4] = np.nan
     [
         (MotionError, "recording b: wanted as many frames.*90 passive", {"t_s": T_S[:90], "q": PASSIVE[:90]}),
         (MotionError, "recording b: .*same times, at frame 0", {"t_s": T_S + 0.05}),
-        (LibraryFormatError, "recording b, passive.*no rWristY", {"q": PASSIVE[:, :22], "names": MODEL.dof_names[:22]}),
-        (LibraryFormatError, "recording b, passive.*PelvisRotY at frame 7", {"q": NAN}),
+        (LibraryFormatError, "b, passive.*missing: rWristY", {"q": PASSIVE[:, :22], "names": MODEL.dof_names[:22]}),
+        (LibraryFormatError, "recording b, passive.*:9: column PelvisRotY", {"q": NAN}),
     ],
 )  # fmt: skip
 def test_what_cannot_be_used_is_refused_by_name(
@@ -227,7 +229,7 @@ def test_files_of_other_content_are_refused(folder: Path, text: str) -> None:
 def test_rows_of_words_and_single_frames_are_refused(folder: Path) -> None:
     lines = (folder / "b_active.csv").read_text().splitlines()
     (folder / "b_active.csv").write_text("\n".join([*lines[:3], lines[3].replace("0.02,", "soon,", 1), *lines[4:]]))
-    with pytest.raises(LibraryFormatError, match="frame 2"):
+    with pytest.raises(LibraryFormatError, match=r"_active\.csv:4: column t"):
         load_reach_recordings(folder)
     (folder / "b_active.csv").write_text("\n".join(lines[:2]))
     with pytest.raises(LibraryFormatError, match="at least 2 frames"):
@@ -328,3 +330,77 @@ def test_the_papers_recordings_are_read_and_the_glitch_is_found() -> None:
     assert not any("swapped" in note for entry in found for note in entry.notes)
     partners = {entry.name for entry in found if any(jump.role == "passive" for jump in entry.jumps)}
     assert partners == {"0446-0578", "0525-0657", "2711-2823"}
+
+
+STAMPS, ACTIVE_Q, PASSIVE_Q = reach(0)
+ANGLES = np.array([is_angle(name) for name in MODEL.dof_names])
+BONES = np.array([name.endswith("Trans") for name in MODEL.dof_names])
+
+
+def scaled(columns: np.ndarray, factor: float) -> np.ndarray:
+    return np.where(columns, factor * ACTIVE_Q, ACTIVE_Q)
+
+
+@pytest.mark.parametrize(
+    ("said", "t_s", "q"),
+    [
+        ("for PelvisRotZ; convert them, they look like degrees", STAMPS, scaled(ANGLES, 180.0 / np.pi)),
+        ("for PelvisTransX; convert them, they look like millimetres", STAMPS, scaled(~ANGLES, 1e3)),
+        ("for PelvisTransX; convert them, they look like centimetres", STAMPS, scaled(~ANGLES, 1e2)),
+        ("seconds.*got 10 as the median", 1e3 * STAMPS, ACTIVE_Q),
+        (r"seconds.*got 1e\+07 as the median", 1e9 * STAMPS, ACTIVE_Q),
+        ("seconds.*got 1e-05 as the median", 1e-3 * STAMPS, ACTIVE_Q),
+        ("for rArmTrans; convert them, they look like centimetres", STAMPS, scaled(BONES, 1e2)),
+        ("bone rArmTrans between.*got 3[.]5", STAMPS, scaled(BONES, 10.0)),
+        ("bone rArmTrans between.*got -0.3", STAMPS, scaled(BONES, -1.0)),
+        ("bone rArmTrans between.*got 0", STAMPS, scaled(BONES, 0.0)),
+    ],
+)
+def test_other_units_are_refused(said: str, t_s: np.ndarray, q: np.ndarray) -> None:
+    with pytest.raises(MotionError, match=f"^here: wanted .*?{said}"):
+        check_units("here", t_s, q, MODEL.dof_names)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda q: q,
+        lambda q: q + 2.0 * np.pi * ANGLES,  # a turn more
+        lambda q: np.where(np.arange(len(q))[:, None] == 50, 0.0, q) * BONES + q * ~BONES,  # a lost marker
+        lambda q: q + 5.0 * (np.array(MODEL.dof_names) == "PelvisTransX"),  # at the other end of the room
+    ],
+)
+def test_people_are_believed(change: Callable[[np.ndarray], np.ndarray]) -> None:
+    check_units("here", STAMPS, change(ACTIVE_Q), MODEL.dof_names)
+
+
+def motion(q: np.ndarray) -> Motion:
+    return Motion(STAMPS, q, MODEL.dof_names)
+
+
+def test_the_reaching_hand_is_the_one_that_goes_farther() -> None:
+    assert doubts(motion(ACTIVE_Q), motion(PASSIVE_Q), MODEL) == []
+    assert "swapped" in doubts(motion(PASSIVE_Q), motion(ACTIVE_Q), MODEL)[0]
+    still = motion(np.repeat(ACTIVE_Q[:1], len(STAMPS), axis=0))
+    assert "check that this is a reach" in doubts(still, still, MODEL)[0]
+
+
+def test_a_reach_and_the_way_back_are_not_one_reach() -> None:
+    there, partner = ACTIVE_Q, motion(PASSIVE_Q)
+    both = motion(np.concatenate([there[::2], there[::-2]]))
+    assert "cut it at the turn" in doubts(both, partner, MODEL)[0]
+    # Pulling the hand back a little belongs to many reaches.
+    back_a_little = motion(np.concatenate([there[20:], there[-1:-21:-1]]))
+    assert doubts(back_a_little, partner, MODEL) == []
+
+
+def test_a_lost_marker_of_the_partner_does_not_look_like_a_reach() -> None:
+    thrown = PASSIVE_Q.copy()
+    thrown[40:45, 0] += 3.0
+    assert doubts(motion(ACTIVE_Q), motion(thrown), MODEL) == []
+
+
+@pytest.mark.parametrize("folder", ["demos", "interference_case"])
+def test_p2s_recordings_raise_no_doubts(folder: str) -> None:
+    for entry in load_reach_recordings(shared_data(f"icra2015/{folder}")):
+        assert doubts(entry.active, entry.passive, MODEL) == []

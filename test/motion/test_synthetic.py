@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from humanpred_ros import __version__
-from humanpred_ros.errors import ArrayError, GoalUnreachableError, MotionError, UsageError
+from humanpred_ros.errors import ArrayError, GoalUnreachableError, MotionError, SettingsError
 from humanpred_ros.human.kinect import KINECT12_DOFS, KinectSkeleton
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import read_library_bag, write_library_bag
 from humanpred_ros.motion.cleaning import DROP_REASONS, flag_library, goal_m
-from humanpred_ros.motion.depth_camera import DepthCameraConfig
 from humanpred_ros.motion.library_statistics import LibraryStatistics, library_statistics
 from humanpred_ros.motion.motion import SKELETON_POINTS, MotionLibrary
-from humanpred_ros.motion.synthetic import ReachGeneratorConfig, generate_library, table_grid
+from humanpred_ros.motion.synthetic import DepthCameraConfig, ReachGeneratorConfig, generate_library, table_grid
 
 
 def generate(seed: int = 0, **changes: object) -> MotionLibrary:
@@ -174,7 +172,7 @@ def test_a_goal_out_of_reach_is_refused_by_number() -> None:
 
 
 def test_a_camera_that_sees_nothing_is_refused() -> None:
-    blind = replace(DepthCameraConfig(), losses_per_s=50.0, loss_s=10.0)
+    blind = DepthCameraConfig().replaced(losses_per_s=50.0, loss_s=10.0)
     with pytest.raises(MotionError, match="frames with a posture"):
         generate(motions_per_class=1, camera=blind)
 
@@ -187,12 +185,12 @@ def test_a_camera_that_sees_nothing_is_refused() -> None:
     ],
 )  # fmt: skip
 def test_impossible_settings_are_refused(bad: dict[str, object]) -> None:
-    with pytest.raises(UsageError):
+    with pytest.raises(SettingsError):
         ReachGeneratorConfig(**bad)
 
 
 def test_goals_must_be_points() -> None:
-    with pytest.raises((UsageError, ArrayError), match="goals_m"):
+    with pytest.raises((SettingsError, ArrayError), match="goals_m"):
         ReachGeneratorConfig(goals_m=((0.1, 0.2),))
 
 

@@ -15,8 +15,7 @@ from humanpred_ros.errors import HumanModelError, ModelFileError, UsageError
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.motion.resampling import unwrap_angles
+from humanpred_ros.motion.motion import MotionLibrary, unwrap_angles
 from humanpred_ros.predictors.factory import make_predictor
 from humanpred_ros.predictors.reach_sources import ReachKnowledge, library_of_model, reach_weights
 from humanpred_ros.reaching.features import N_FEATURES, NAMED_WEIGHTS

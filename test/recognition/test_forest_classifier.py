@@ -15,9 +15,8 @@ from small_library import small_library
 from humanpred_ros.errors import ArrayError, HumanModelError, LibraryFormatError, MotionError, UsageError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.motion.motion import Motion, MotionLibrary
+from humanpred_ros.motion.motion import Motion, MotionLibrary, resample
 from humanpred_ros.motion.placement import placed
-from humanpred_ros.motion.resampling import resample
 from humanpred_ros.recognition.forest_classifier import ForestClassifier, ForestConfig
 from humanpred_ros.recognition.reach_features import motion_features, point_links
 

@@ -16,8 +16,7 @@ from humanpred_ros.evaluation.recognition.classifiers import ClassifierConfig, m
 from humanpred_ros.evaluation.recognition.needs import check_needs
 from humanpred_ros.evaluation.recognition.scores import IntArray, percent_indices
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.motion.resampling import resample
+from humanpred_ros.motion.motion import Motion, MotionLibrary, resample
 from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
 
 #: With one of three left out, two are left: the least that anybody can tell apart.

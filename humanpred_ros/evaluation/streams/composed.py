@@ -26,8 +26,7 @@ from humanpred_ros.evaluation.standing import StandingNoise, median_slope
 from humanpred_ros.evaluation.streams.truth import motion_span
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.motion.resampling import is_angle, unwrap_angles
+from humanpred_ros.motion.motion import Motion, MotionLibrary, is_angle, unwrap_angles
 
 _PALM = "right_palm"
 

@@ -1,4 +1,4 @@
-"""One person's file is read as it was meant, or refused with the place where it is wrong; never misread."""
+"""A CSV file is read as it was meant, or refused with the place where it is wrong; never misread."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from humanpred_ros.errors import HumanPredError, LibraryFormatError
-from humanpred_ros.motion.reach_csv import read_table
+from humanpred_ros.motion.csv_files import read_table
 
 NAMES = ("a", "b", "c")
 ROWS = np.array([[0.0, 1.0, 2.0, 3.0], [0.01, 4.0, -5.0, 6e-3], [0.02, 7.0, 8.0, 9.0]])
@@ -21,9 +21,10 @@ TEXT = "t,a,b,c\n" + "".join(",".join(map(repr, row)) + "\n" for row in ROWS.tol
 
 
 def read(folder: Path, content: str | bytes) -> np.ndarray:
-    path = folder / "x_active.csv"
+    path = folder / "x.csv"
     path.write_bytes(content.encode() if isinstance(content, str) else content)
-    return read_table("recording x", path, NAMES)
+    table = read_table(path, ("t", *NAMES))
+    return np.stack([table[column] for column in ("t", *NAMES)], axis=1)
 
 
 @pytest.mark.parametrize(
@@ -60,25 +61,24 @@ def test_numbers_come_back_exactly_in_any_order_of_columns(tmp_path: Path, rows:
 @pytest.mark.parametrize(
     ("said", "content"),
     [
-        ("got an empty file", ""),
-        ("got an empty file", "\ufeff"),
-        ("got an empty file", "\r\n\r\n"),
-        ("at least 2 frames, got 0", "t,a,b,c\n"),
-        ("at least 2 frames, got 1", "t,a,b,c\n0,1,2,3\n"),
-        ("got no b;", TEXT.replace("a,b,c", "a,B,c")),
-        ("got no t;", TEXT.replace("t,a", "time,a")),
-        ("begins with '0.0'; the first row has to be the header", TEXT.split("\n", 1)[1]),
-        ("1 fields that begins with 't;a;b;c'", TEXT.replace(",", ";")),
+        ("empty", ""),
+        ("empty", "\ufeff"),
+        ("empty", "\r\n\r\n"),
+        ("rows of numbers below the header, got none", "t,a,b,c\n"),
+        (":1: columns missing: b;", TEXT.replace("a,b,c", "a,B,c")),
+        (":1: columns missing: t;", TEXT.replace("t,a", "time,a")),
+        ("begins with '0.0': it has to be the header", TEXT.split("\n", 1)[1]),
+        ("begins with 't;a;b;c'", TEXT.replace(",", ";")),
         ("begins with '# by somebody'", "# by somebody\n" + TEXT),
-        ("each column once, got b more than once", "\n".join(f"{line},{line.split(',')[2]}" for line in TEXT.split())),
-        ("got 5 at frame 0", TEXT.replace("3.0\n", "3.0,\n")),
-        ("got 5 at frame 2", TEXT.replace("0.02,", "0,0.02,")),
-        ("got 2 at frame 2", TEXT.split("0.02")[0] + "0.02,7.0"),
-        ("got 'soon' for a at frame 1", TEXT.replace("4.0", "soon")),
-        ("got '' for a at frame 1", TEXT.replace("4.0", "")),
-        ("got '4_0.0' for a at frame 1", TEXT.replace("4.0", "4_0.0")),
-        ("got nan for a at frame 1", TEXT.replace("4.0", "NaN")),
-        ("got inf for a at frame 1", TEXT.replace("4.0", "1e999")),
+        (":1: columns twice: b", "\n".join(f"{line},{line.split(',')[2]}" for line in TEXT.split())),
+        (":2: wanted 4 fields, got 5", TEXT.replace("3.0\n", "3.0,\n")),
+        (":4: wanted 4 fields, got 5", TEXT.replace("0.02,", "0,0.02,")),
+        (":4: wanted 4 fields, got 2", TEXT.split("0.02")[0] + "0.02,7.0"),
+        (":3: column a: wanted a number, got 'soon'", TEXT.replace("4.0", "soon")),
+        (":3: column a: wanted a number, got ''", TEXT.replace("4.0", "")),
+        (":3: column a: wanted a number, got '4_0.0'", TEXT.replace("4.0", "4_0.0")),
+        (":3: column a: wanted a finite number, got nan", TEXT.replace("4.0", "NaN")),
+        (":3: column a: wanted a finite number, got inf", TEXT.replace("4.0", "1e999")),
         ("cannot be read", TEXT.encode("utf-16")),
         ("cannot be read", TEXT.replace("a", "\u00e4").encode("latin-1")),
         ("number, got", TEXT.replace("4.0", "4\0.0")),
@@ -90,15 +90,15 @@ def test_what_would_be_misread_is_refused_with_its_place(tmp_path: Path, said: s
     if said == "number, got" and "cannot be read" in str(found.value):
         return  # Python 3.10 refuses such bytes earlier
     assert said in str(found.value)
-    assert str(found.value).startswith("recording x: wanted")
+    assert str(found.value).startswith(str(tmp_path / "x.csv"))
 
 
 @pytest.mark.parametrize("make", [Path.mkdir, lambda path: None])
 def test_folders_and_missing_files_are_refused(tmp_path: Path, make: Callable[[Path], None]) -> None:
-    path = tmp_path / "x_active.csv"
+    path = tmp_path / "x.csv"
     make(path)
-    with pytest.raises(LibraryFormatError, match=r"recording x: .*cannot be read"):
-        read_table("recording x", path, NAMES)
+    with pytest.raises(LibraryFormatError, match=r"x\.csv: .*cannot be read"):
+        read_table(path, NAMES)
 
 
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -106,3 +106,14 @@ def test_folders_and_missing_files_are_refused(tmp_path: Path, make: Callable[[P
 def test_no_content_whatever_gives_a_traceback(tmp_path: Path, content: str | bytes) -> None:
     with contextlib.suppress(HumanPredError):
         assert np.isfinite(read(tmp_path, content)).all()
+
+
+def test_gaps_are_nan_where_they_are_allowed(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    path.write_text("t,a,other\n0.0,,word\n0.1,nan,\n0.2,3.0,x\n")
+    np.testing.assert_array_equal(read_table(path, ("t", "a"), gaps=True)["a"], [np.nan, np.nan, 3.0])
+    with pytest.raises(LibraryFormatError, match=r":1: columns unknown: other"):
+        read_table(path, ("t",), optional=("a",), gaps=True)
+    path.write_text("t,a\n0.0,much\n")
+    with pytest.raises(LibraryFormatError, match=r":2: column a: wanted a number, got 'much'"):
+        read_table(path, ("t", "a"), gaps=True)

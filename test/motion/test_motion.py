@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from humanpred_ros.errors import MotionError
-from humanpred_ros.motion.motion import SKELETON_POINTS, Motion
-from humanpred_ros.motion.resampling import resample, resample_phase, unwrap_angles
+from humanpred_ros.motion.motion import SKELETON_POINTS, Motion, resample, resample_phase, unwrap_angles
 
 DOFS = ("PelvisTransX", "PelvisRotZ")
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from humanpred_ros.errors import ArrayError, UsageError
+from humanpred_ros.errors import ArrayError, SettingsError
 from humanpred_ros.human.kinect import KinectSkeleton
-from humanpred_ros.motion.depth_camera import DepthCamera, DepthCameraConfig, Recording
 from humanpred_ros.motion.motion import SKELETON_POINTS
-from humanpred_ros.motion.synthetic import ReachGeneratorConfig
+from humanpred_ros.motion.synthetic import DepthCamera, DepthCameraConfig, Observed, ReachGeneratorConfig
 
 POINTS = KinectSkeleton().points(np.array(ReachGeneratorConfig().rest_q))
 LIMBS = np.array([name.endswith(("elbow", "hand", "knee", "foot")) for name in SKELETON_POINTS])
@@ -21,7 +18,7 @@ CLEAR = DepthCameraConfig(
 )
 
 
-def watch(config: DepthCameraConfig, seconds: float = 60.0, seed: int = 0) -> Recording:
+def watch(config: DepthCameraConfig, seconds: float = 60.0, seed: int = 0) -> Observed:
     """Watch somebody who stands still."""
     camera = DepthCamera(config)
     t = camera.exposures_s(seconds)
@@ -37,7 +34,7 @@ def test_a_clear_camera_changes_nothing_but_the_last_digits() -> None:
 
 
 def test_noise_is_larger_along_the_line_of_sight_and_on_limbs() -> None:
-    error = watch(replace(CLEAR, noise_m=0.01, limb_factor=2.0)).points_m - POINTS
+    error = watch(CLEAR.replaced(noise_m=0.01, limb_factor=2.0)).points_m - POINTS
     sight = POINTS - np.array(CLEAR.position_m)
     sight /= np.linalg.norm(sight, axis=1, keepdims=True)
     along = np.einsum("tpi,pi->tp", error, sight)
@@ -50,7 +47,7 @@ def test_noise_is_larger_along_the_line_of_sight_and_on_limbs() -> None:
 
 def test_the_trunk_trembles_as_one_piece() -> None:
     def sway(play: float) -> float:
-        seen = watch(replace(CLEAR, noise_m=0.01, depth_factor=1.0, trunk_play=play)).points_m
+        seen = watch(CLEAR.replaced(noise_m=0.01, depth_factor=1.0, trunk_play=play)).points_m
         left, right = (SKELETON_POINTS.index(f"{side}_shoulder") for side in ("left", "right"))
         return float(np.linalg.norm(seen[:, left] - seen[:, right], axis=1).std())
 
@@ -58,11 +55,11 @@ def test_the_trunk_trembles_as_one_piece() -> None:
 
 
 def test_smoothing_halves_noise_and_lags() -> None:
-    rough, smooth = (watch(replace(CLEAR, noise_m=0.01, smoothing=s)).points_m - POINTS for s in (0.0, 0.6))
+    rough, smooth = (watch(CLEAR.replaced(noise_m=0.01, smoothing=s)).points_m - POINTS for s in (0.0, 0.6))
     # An exponential filter with factor s leaves sqrt((1 - s) / (1 + s)) of white noise.
     assert smooth.std() / rough.std() == pytest.approx(0.5, abs=0.03)
     assert smooth[0].std() / rough.std() == pytest.approx(0.5, abs=0.15)  # settled before the first frame
-    camera = DepthCamera(replace(CLEAR, smoothing=0.6))
+    camera = DepthCamera(CLEAR.replaced(smoothing=0.6))
     t = camera.exposures_s(1.0)
     walk = POINTS + t[:, None, None] * np.array([1.0, 0.0, 0.0])
     behind = (walk - camera.observe(t, walk, np.random.default_rng(0)).points_m)[-1, :, 0]
@@ -70,7 +67,7 @@ def test_smoothing_halves_noise_and_lags() -> None:
 
 
 def test_points_get_lost_for_a_while_and_come_back() -> None:
-    config = replace(CLEAR, losses_per_s=0.5, leg_losses_per_s=0.0, loss_s=0.2, smoothing=0.6)
+    config = CLEAR.replaced(losses_per_s=0.5, leg_losses_per_s=0.0, loss_s=0.2, smoothing=0.6)
     seen = watch(config, 200.0)
     lost = np.isnan(seen.points_m)
     assert (lost.all(axis=-1) == lost.any(axis=-1)).all()
@@ -81,7 +78,7 @@ def test_points_get_lost_for_a_while_and_come_back() -> None:
 
 
 def test_frames_get_lost_and_stamps_stay_in_order() -> None:
-    seen = watch(replace(CLEAR, frame_loss=0.2, stamp_jitter_s=1.0), 100.0)
+    seen = watch(CLEAR.replaced(frame_loss=0.2, stamp_jitter_s=1.0), 100.0)
     assert len(seen.t_s) == pytest.approx(0.8 * 3001, rel=0.05)
     assert (np.diff(seen.t_s) > 0).all()
     assert np.diff(seen.t_s).std() > 0.01
@@ -98,7 +95,7 @@ def test_the_same_seed_sees_the_same() -> None:
     "bad", [{"rate_hz": 0.0}, {"smoothing": 1.0}, {"frame_loss": -0.1}, {"noise_m": float("nan")}, {"step_m": 0.0}]
 )
 def test_impossible_settings_are_refused(bad: dict[str, float]) -> None:
-    with pytest.raises(UsageError, match=next(iter(bad))):
+    with pytest.raises(SettingsError, match=next(iter(bad))):
         DepthCameraConfig(**bad)
 
 
