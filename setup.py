@@ -21,7 +21,7 @@ NODES = [
     "skeleton_tracker_replay",
     "occupancy_predictor",
     "stomp_planner",
-    "simulated_pr2",
+    "simulated_arm",
     "run_recorder",
     "occupancy_replay",
 ]

@@ -49,8 +49,8 @@ def node(executable: str, **parameters: Any) -> Node:
 def graph(context: LaunchContext) -> list[Node]:
     """Return the nodes; the replay waits for all others, for a recorder only where there is one."""
     nodes = [
-        node("simulated_pr2", scene=text("scene")),
-        node("stomp_planner", scene=text("scene"), controller="simulated_pr2", listener="skeleton_tracker_replay"),
+        node("simulated_arm", scene=text("scene")),
+        node("stomp_planner", scene=text("scene"), controller="simulated_arm", listener="skeleton_tracker_replay"),
         node(
             "occupancy_predictor",
             scene=text("scene"),
@@ -62,7 +62,7 @@ def graph(context: LaunchContext) -> list[Node]:
             listener="stomp_planner",
         ),
     ]
-    peers = ["simulated_pr2", "stomp_planner", "occupancy_predictor"]
+    peers = ["simulated_arm", "stomp_planner", "occupancy_predictor"]
     if LaunchConfiguration("record").perform(context):
         nodes.append(node("run_recorder", output=text("record")))
         peers.append("run_recorder")

@@ -20,8 +20,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 
+from humanpred_ros import topics
 from humanpred_ros.evaluation.processes import NodeGroup, ParameterValue, free_domain_id
-from humanpred_ros.nodes import qos, topics
+from humanpred_ros.nodes import qos
 
 _SPIN_S = 0.01
 _REPEAT_S = 0.05

@@ -16,9 +16,10 @@ from sensor_msgs.msg import JointState, PointCloud2
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
+from humanpred_ros import topics
 from humanpred_ros.evaluation.processes import ParameterValue
 from humanpred_ros.geometry.lattice import Occupancy
-from humanpred_ros.nodes import conversions, qos, topics
+from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.planning.timing.trajectory import TimedTrajectory
 from humanpred_ros.robot.scene import Scene
 

@@ -13,9 +13,10 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
 
+from humanpred_ros import topics
 from humanpred_ros.bags.messages import point_cloud2_fields
 from humanpred_ros.evaluation.processes import NodeProcess, ParameterValue
-from humanpred_ros.nodes import conversions, qos, topics
+from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.reaching.places import GoalPlaces
 from humanpred_ros.robot.scene import load_scene
 

@@ -16,7 +16,7 @@ ORDER = (
 INNER_ORDER = {
     "planning": ("timing", "validity"),
 }
-SHARED = {"errors", "resources", "settings", "__version__"}
+SHARED = {"errors", "resources", "settings", "topics", "__version__"}
 ROS_MODULES = {
     "rclpy", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "rcl_interfaces", "rosgraph_msgs",
     "sensor_msgs", "std_msgs", "trajectory_msgs", "visualization_msgs",

@@ -26,7 +26,7 @@ def test_the_commands_were_found() -> None:
 
 def test_every_node_and_topic_is_named() -> None:
     pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
-    from humanpred_ros.nodes import topics
+    from humanpred_ros import topics
 
     for source in (REPOSITORY / "humanpred_ros" / "nodes").glob("*.py"):
         if "def main()" in source.read_text(encoding="utf-8"):

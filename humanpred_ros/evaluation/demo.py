@@ -36,7 +36,7 @@ _POLL_S = 0.05
 _SETTLE_S = 0.3  # the last messages reach the recorder after the tracker has ended
 _LOG_LINE = re.compile(r"^\[\w+\] \[[\d.]+\] \[stomp_planner\]: (.*)$")
 _TRACKER = "skeleton_tracker_replay"
-_PEERS = ("occupancy_predictor", "stomp_planner", "simulated_pr2", "run_recorder")
+_PEERS = ("occupancy_predictor", "stomp_planner", "simulated_arm", "run_recorder")
 
 
 class DemoSettings(Settings):
@@ -183,7 +183,7 @@ def _start_nodes(
     group.start(
         "run_recorder", {"output": str(folder / "bag"), "run_info": json.dumps(info), "markers": settings.markers}
     )
-    group.start("simulated_pr2", {**common, "scene": settings.scene})
+    group.start("simulated_arm", {**common, "scene": settings.scene})
     group.start(
         "stomp_planner",
         {
@@ -192,7 +192,7 @@ def _start_nodes(
             "period_s": period_s,
             "seed": settings.seed,
             "lossless": settings.stepped,
-            "controller": "simulated_pr2",
+            "controller": "simulated_arm",
             "listener": _TRACKER,
         },
     )

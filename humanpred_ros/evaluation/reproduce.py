@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from humanpred_ros import topics
 from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.errors import BagError
 from humanpred_ros.evaluation.processes import NodeGroup, free_domain_id
 
 _POLL_S = 0.05
 _SETTLE_S = 0.3
-_OCCUPANCY = "/human_occupancy"
-_DECISION = "/stomp_planner/decision"
-_TRAJECTORY = "/r_arm_controller/joint_trajectory"
 #: Facts of a decision that depend on the machine, not on the input.
 _MACHINE_FACTS = {"compute_ms"}
 
@@ -51,7 +49,7 @@ def replay_run(folder: Path, out: Path) -> Comparison:
             {
                 "output": str(out),
                 "run_info": json.dumps(dict(info)),
-                "wait_for": f"{_OCCUPANCY},{_DECISION}",
+                "wait_for": f"{topics.OCCUPANCY},{topics.DECISION}",
             },
         )
         group.start(
@@ -78,7 +76,7 @@ def compare_bags(first: BagReader, second: BagReader) -> Comparison:
     """Compare decisions and trajectories bit for bit; what only the machine's speed decides is left out."""
     differing: list[str] = []
     counts = []
-    for topic, facts in ((_DECISION, _decision_facts), (_TRAJECTORY, _trajectory_facts)):
+    for topic, facts in ((topics.DECISION, _decision_facts), (topics.TRAJECTORY, _trajectory_facts)):
         a, b = ({stamp: facts(m) for stamp, m in _by_stamp(bag, topic)} for bag in (first, second))
         counts.append(len(a))
         for stamp in sorted(a.keys() | b.keys()):

@@ -18,8 +18,9 @@ from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from humanpred_ros import topics
 from humanpred_ros.errors import HumanPredError, UsageError
-from humanpred_ros.nodes import qos, topics
+from humanpred_ros.nodes import qos
 
 READY = "ready"
 _STATUS_PERIOD_S = 0.2

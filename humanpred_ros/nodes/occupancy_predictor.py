@@ -11,11 +11,12 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
+from humanpred_ros import topics
 from humanpred_ros.errors import HumanPredError, UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import human_named
 from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.nodes import conversions, qos, topics
+from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, run_node
 from humanpred_ros.nodes.markers import occupancy_markers
 from humanpred_ros.nodes.parameters import declare

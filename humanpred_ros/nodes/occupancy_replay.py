@@ -8,9 +8,10 @@ from rclpy.duration import Duration
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState, PointCloud2
 
+from humanpred_ros import topics
 from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.errors import BagError
-from humanpred_ros.nodes import conversions, qos, topics
+from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import run_node
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.nodes.settings import OccupancyReplaySettings

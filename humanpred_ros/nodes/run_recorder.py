@@ -13,10 +13,11 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
+from humanpred_ros import topics
 from humanpred_ros.bags.qos import DEFAULT_QOS, LATCHED_QOS
 from humanpred_ros.bags.writer import BagWriter
 from humanpred_ros.errors import UsageError
-from humanpred_ros.nodes import qos, topics
+from humanpred_ros.nodes import qos
 from humanpred_ros.nodes.base import GraphNode, run_node
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.nodes.settings import RunRecorderSettings

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from humanpred_ros import topics
 from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR
 from humanpred_ros.planning.replanner import ReplannerConfig
 from humanpred_ros.reaching.features import NAMED_WEIGHTS
@@ -152,8 +153,8 @@ class StompPlannerSettings:
 
 
 @dataclass(frozen=True)
-class SimulatedPr2Settings:
-    """Parameters of `simulated_pr2`."""
+class SimulatedArmSettings:
+    """Parameters of `simulated_arm`."""
 
     scene: str = setting("face_to_face", "scene whose start configuration the arm is in")
     rate_hz: float = setting(50.0, "joint states per second", 1.0, 1000.0)
@@ -166,7 +167,7 @@ class RunRecorderSettings:
     output: str = setting("", "folder of the bag; must not exist yet")
     body_id: str = setting("body_0", "REP-155 body id recorded")
     wait_for: str = setting(
-        "/humans/bodies/<id>/joint_states,/human_occupancy,/stomp_planner/decision,/joint_states",
+        ",".join((topics.human_joint_states("<id>"), topics.OCCUPANCY, topics.DECISION, topics.JOINT_STATES)),
         "comma-separated topics that must have a publisher before the recorder calls itself ready",
     )
     run_info: str = setting("{}", "JSON object of facts about the run, stored in the bag as metadata")

@@ -11,11 +11,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
+from humanpred_ros import topics
 from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import human_with
 from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.nodes import conversions, qos, topics
+from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import run_node
 from humanpred_ros.nodes.markers import skeleton_markers
 from humanpred_ros.nodes.parameters import declare

@@ -9,8 +9,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rosgraph_msgs.msg import Clock as ClockMessage
 
+from humanpred_ros import topics
 from humanpred_ros.errors import PlanningError, UsageError
-from humanpred_ros.nodes import conversions, qos, topics
+from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import READY, GraphNode
 
 _POLL_PERIOD_S = 0.004

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from humanpred_ros import topics
 from humanpred_ros.bags import messages
 from humanpred_ros.bags.metadata import TopicInfo
 from humanpred_ros.bags.reader import BagReader
@@ -19,7 +20,7 @@ from humanpred_ros.errors import BagError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
-from humanpred_ros.viewing import run_topics as topics
+from humanpred_ros.viewing import run_topics
 from humanpred_ros.viewing.tracks import (
     Latency,
     OccupancySnapshot,
@@ -114,7 +115,7 @@ def read_run(folder: str | Path) -> Run:
         raise BagError(f"{folder}: wanted a run (a folder with a bag/ in it), found none; record one: humanpred demo")
     reader = BagReader(folder / "bag")
     load = _Loader(reader)
-    human_topic = topics.posture_topic(reader.topics)
+    human_topic = topics.body_topic(reader.topics, topics.human_joint_states)
     human = load.stamped(human_topic, messages.JOINT_STATE)
     facts = MappingProxyType(dict(reader.metadata.get("run", {})))
     postures = _postures(human, load)
@@ -135,7 +136,7 @@ def read_run(folder: str | Path) -> Run:
     origin_ns = firsts[0] if firsts else (robot[-1].stamp_ns if robot else 0)
     first_occupancy_s = _seconds(occupied[0].stamp_ns if occupied else origin_ns, origin_ns)
     decisions = _numbered(
-        [topics.decision_of(e.message, _seconds(e.stamp_ns, origin_ns), first_occupancy_s) for e in decided], load
+        [run_topics.decision_of(e.message, _seconds(e.stamp_ns, origin_ns), first_occupancy_s) for e in decided], load
     )
     grid = load.text(topics.VOXEL_GRID)
     lasts = [entries[-1].stamp_ns for entries in (human, occupied, decided, robot) if entries]
@@ -149,16 +150,16 @@ def read_run(folder: str | Path) -> Run:
         motion_duration_s=motion_duration_s,
         postures=postures,
         posterior=_posterior(goals, origin_ns),
-        occupancy=_occupancy(occupied, topics.grid_of(grid) if grid else None, origin_ns),
+        occupancy=_occupancy(occupied, run_topics.grid_of(grid) if grid else None, origin_ns),
         decisions=decisions,
         robot=_robot(robot, origin_ns),
-        trajectories=tuple(topics.trajectory_of(e.message, origin_ns) for e in sent),
+        trajectories=tuple(run_topics.trajectory_of(e.message, origin_ns) for e in sent),
         latencies=(
             _delays(POSTURE_TO_OCCUPANCY, human, {e.stamp_ns: e.sent_ns for e in occupied}, origin_ns),
             _delays(POSTURE_TO_TRAJECTORY, human, _answers(sent, decided), origin_ns),
         ),
         topics=tuple(sorted(reader.topics.values(), key=lambda topic: topic.name)),
-        human_urdf=load.text(topics.urdf_topic(reader.topics)),
+        human_urdf=load.text(topics.body_topic(reader.topics, topics.human_urdf)),
         notes=tuple(load.notes),
     )
 
@@ -247,7 +248,7 @@ def _times(entries: Iterable[Entry], origin_ns: int) -> FloatArray:
 
 def _occupied(message: Any, planned: bool, sampled: bool) -> _Occupied:
     """Reduce a cloud to what plots need; whole clouds are kept only where asked, they are large."""
-    centres, probability = topics.occupancy_of(message)
+    centres, probability = run_topics.occupancy_of(message)
     cloud = (centres, probability) if planned or sampled else None
     return _Occupied(len(probability), float(probability.sum()), planned, sampled, cloud)
 
@@ -266,7 +267,7 @@ def _sample_times(human: list[Entry], motion_s: float) -> list[int]:
 def _postures(entries: list[Entry], load: _Loader) -> PostureTrack:
     origin_ns = entries[0].stamp_ns if entries else 0  # a run begins with its first posture
     names = tuple(entries[0].message.name) if entries else ()
-    rows = [(entry, topics.positions_of(entry.message, names)) for entry in entries]
+    rows = [(entry, run_topics.positions_of(entry.message, names)) for entry in entries]
     usable = [(entry, row[0]) for entry, row in rows if row is not None]
     if len(usable) < len(entries):
         load.notes.append(f"{len(entries) - len(usable)} postures with missing or non-finite joints were left out")
@@ -289,7 +290,7 @@ def _numbered(decisions: list[RecordedDecision], load: _Loader) -> tuple[Recorde
 
 
 def _posterior(entries: list[Entry], origin_ns: int) -> PosteriorTrack:
-    columns = [topics.posterior_of(entry.message) for entry in entries]
+    columns = [run_topics.posterior_of(entry.message) for entry in entries]
     if not columns:
         return PosteriorTrack(np.zeros(0), (), np.zeros((0, 0)), np.zeros((0, 3)))
     # Goals may come and go; one that is not told of at a moment has no probability then.
@@ -323,7 +324,7 @@ def _occupancy(entries: list[Entry], grid: VoxelGrid | None, origin_ns: int) -> 
 
 def _robot(entries: list[Entry], origin_ns: int) -> RobotTrack:
     # Other publishers share the topic on a real robot; states without the arm are theirs.
-    rows = [(entry, topics.positions_of(entry.message, RIGHT_ARM_JOINTS)) for entry in entries]
+    rows = [(entry, run_topics.positions_of(entry.message, RIGHT_ARM_JOINTS)) for entry in entries]
     usable = [(entry, *row) for entry, row in rows if row is not None]
     n_joints = len(RIGHT_ARM_JOINTS)
     t_s = _times((entry for entry, _, _ in usable), origin_ns)

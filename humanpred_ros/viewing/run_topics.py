@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,27 +13,8 @@ from humanpred_ros.bags.messages import ns_from_stamp, point_cloud2_fields
 from humanpred_ros.errors import ArrayError, BagError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
+from humanpred_ros.topics import DECISION, VOXEL_GRID
 from humanpred_ros.viewing.tracks import GoalPlan, RecordedDecision, SentTrajectory
-
-# The nodes publish under these names; importing them from nodes/ would turn the packages' order around.
-OCCUPANCY = "/human_occupancy"
-VOXEL_GRID = "/human_occupancy/voxel_grid"
-HUMAN_GOALS = "/human_goals"
-JOINT_STATES = "/joint_states"
-TRAJECTORY = "/r_arm_controller/joint_trajectory"
-DECISION = "/stomp_planner/decision"
-_POSTURES = re.compile(r"/humans/bodies/[^/]+/joint_states")
-_URDF = re.compile(r"/humans/bodies/[^/]+/urdf")
-
-
-def posture_topic(topics: Iterable[str]) -> str | None:
-    """Return the joint states topic of the tracked body (the first by name), None if there is none."""
-    return min((topic for topic in topics if _POSTURES.fullmatch(topic)), default=None)
-
-
-def urdf_topic(topics: Iterable[str]) -> str | None:
-    """Return the topic with the tracked body's URDF (the first by name), None if there is none."""
-    return min((topic for topic in topics if _URDF.fullmatch(topic)), default=None)
 
 
 def stamp_ns(message: Any) -> int:

@@ -64,6 +64,10 @@ def test_positions_are_found_by_name_in_any_order() -> None:
     message.position[2] = np.nan
     with pytest.raises(ArrayError, match="not finite"):
         conversions.ordered_positions(message, ("a", "b"))
+    message.position.pop()  # fewer positions than names
+    assert conversions.ordered_positions(message, ("b", "x")).tolist() == [2.0, 9.0]
+    with pytest.raises(ArrayError, match=r"missing joints.*a did not come"):
+        conversions.ordered_positions(message, ("a", "b"))
 
 
 def trajectory() -> TimedTrajectory:

@@ -33,7 +33,8 @@ from humanpred_ros.recognition.model_file import load_model
 from humanpred_ros.robot.scene import load_scene
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
-from humanpred_ros.nodes import conversions, topics
+from humanpred_ros import topics
+from humanpred_ros.nodes import conversions
 from humanpred_ros.nodes.settings import StompPlannerSettings
 
 LABEL, INDEX = 3, 2

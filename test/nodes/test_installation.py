@@ -27,16 +27,17 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
+from humanpred_ros import topics
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.processes import free_domain_id
-from humanpred_ros.nodes import settings, topics
+from humanpred_ros.nodes import settings
 from humanpred_ros.nodes.parameters import declare
 
 NODES: dict[str, type[Any]] = {
     "skeleton_tracker_replay": settings.SkeletonTrackerReplaySettings,
     "occupancy_predictor": settings.OccupancyPredictorSettings,
     "stomp_planner": settings.StompPlannerSettings,
-    "simulated_pr2": settings.SimulatedPr2Settings,
+    "simulated_arm": settings.SimulatedArmSettings,
     "run_recorder": settings.RunRecorderSettings,
     "occupancy_replay": settings.OccupancyReplaySettings,
 }
@@ -214,13 +215,13 @@ def interrupted(process: subprocess.Popen[bytes]) -> int:
 def test_every_executable_joins_the_graph(install: Path, environment: dict[str, str], diagnostics: Diagnostics) -> None:
     scene = "scene:=side_by_side"
     graph = {
-        "stomp_planner": [scene, "controller:=simulated_pr2", "listener:=skeleton_tracker_replay"],
-        "simulated_pr2": [scene],
+        "stomp_planner": [scene, "controller:=simulated_arm", "listener:=skeleton_tracker_replay"],
+        "simulated_arm": [scene],
         # The baseline needs no training, which would take most of this test's time.
         "occupancy_predictor": [scene, "predictor:=current", "listener:=stomp_planner"],
         "run_recorder": ["output:=bag"],
         "skeleton_tracker_replay": [
-            "wait_for:='stomp_planner,simulated_pr2,occupancy_predictor,run_recorder'",
+            "wait_for:='stomp_planner,simulated_arm,occupancy_predictor,run_recorder'",
             "listener:=occupancy_predictor",
             "hold_last_s:=0.0",
         ],
@@ -239,13 +240,13 @@ def test_every_executable_joins_the_graph(install: Path, environment: dict[str, 
 @pytest.mark.parametrize(
     ("name", "arguments", "words"),
     [
-        ("simulated_pr2", ["-p", "rate_hz:=50"], ["rate_hz", "wanted a number with a decimal point", "got 50", "50.0"]),
+        ("simulated_arm", ["-p", "rate_hz:=50"], ["rate_hz", "wanted a number with a decimal point", "got 50", "50.0"]),
         ("stomp_planner", ["-p", "seed:=-1"], ["seed", "wanted a value from 0 to", "got -1"]),
         ("skeleton_tracker_replay", ["-p", "trajectry:='0/0'"], ["trajectry", "did you mean trajectory?"]),
         ("occupancy_predictor", ["-p", "scene:=nowhere"], ["nowhere", "face_to_face", "side_by_side"]),
         ("run_recorder", [], ["output", "wanted the folder"]),
         ("occupancy_replay", ["-p", "bag:=no_such_bag"], ["no_such_bag", "wanted a bag"]),
-        ("simulated_pr2", ["--scene", "side_by_side"], ["--scene", "-p"]),
+        ("simulated_arm", ["--scene", "side_by_side"], ["--scene", "-p"]),
     ],
 )
 def test_what_cannot_be_used_ends_with_one_line_and_status_2(
@@ -303,8 +304,8 @@ def test_parameters_are_read(context: Any) -> None:
         ("stomp_planner", {"scene": ["a", "b"]}, r"wanted text, got \['a', 'b'\]$"),
         ("stomp_planner", {"period_s": float("nan")}, r"wanted a value from 0\.02 to 10\.0, got nan"),
         ("stomp_planner", {"threads": 65}, r"wanted a value from 1 to 64, got 65"),
-        ("simulated_pr2", {"rate_hz": float("inf")}, r"got inf"),
-        ("simulated_pr2", {"nothing_like_it": 1}, r"has none of that name; it has scene, rate_hz"),
+        ("simulated_arm", {"rate_hz": float("inf")}, r"got inf"),
+        ("simulated_arm", {"nothing_like_it": 1}, r"has none of that name; it has scene, rate_hz"),
         (
             "occupancy_predictor",
             {"reach_goals": "3 0 0 1"},
@@ -329,7 +330,7 @@ def test_a_list_may_be_empty(context: Any) -> None:
 def test_parameters_meant_for_all_nodes_pass(context: Any) -> None:
     shared = {"scene": "side_by_side", "seed": 3, "use_sim_time": True}
     quality = {"qos_overrides./diagnostics.publisher.depth": 3}
-    assert declared(context, "simulated_pr2", **shared, **quality).scene == "side_by_side"
+    assert declared(context, "simulated_arm", **shared, **quality).scene == "side_by_side"
 
 
 class Recorded:

@@ -130,6 +130,19 @@ def test_data_that_come_late_neither_restart_nor_jerk_a_moving_arm(tmp_path: Pat
         np.testing.assert_allclose(stop.points[0].positions, q, atol=1e-6)
         np.testing.assert_allclose(stop.points[0].velocities, v, atol=1e-5)
         assert not np.any(stop.points[-1].velocities)
+        # Every silence leads to a hold, not only the first one.
+        for _ in range(2):
+            n_before = len(client.decisions)
+            client.send_until(
+                lambda: client.send_cloud(good_cloud(client.now_ns())),
+                lambda n=n_before: any(d.action == "replan" for d in client.decisions[n:]),
+                "a plan on good data",
+            )
+            n_before = len(client.decisions)
+            client.wait(
+                lambda n=n_before: any(d.reason.startswith("stale human data") for d in client.decisions[n:]),
+                "a hold in the silence",
+            )
 
 
 def stamp(message: Any) -> int:

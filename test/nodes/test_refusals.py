@@ -25,7 +25,8 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 
-from humanpred_ros.nodes import conversions, qos, topics
+from humanpred_ros import topics
+from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.occupancy_predictor import OccupancyPredictorNode
 from humanpred_ros.nodes.run_recorder import RunRecorder
 from humanpred_ros.nodes.stomp_planner import StompPlannerNode
@@ -180,16 +181,16 @@ class RunListener(NodeClient):
 
 
 def test_a_tracker_that_dies_stops_the_arm(tmp_path: Path) -> None:
-    planner = {"scene": "face_to_face", "controller": "simulated_pr2"}
+    planner = {"scene": "face_to_face", "controller": "simulated_arm"}
     with RunListener(tmp_path, "stomp_planner", planner) as run:
         run.group.start("run_recorder", {"output": str(tmp_path / "bag")})
-        run.group.start("simulated_pr2", {"scene": "face_to_face"})
+        run.group.start("simulated_arm", {"scene": "face_to_face"})
         run.group.start("occupancy_predictor", {"predictor": "current", "listener": "stomp_planner"})
         tracker = run.group.start(
             "skeleton_tracker_replay",
             {
                 "trajectory": "3/2",
-                "wait_for": "occupancy_predictor,stomp_planner,simulated_pr2,run_recorder",
+                "wait_for": "occupancy_predictor,stomp_planner,simulated_arm,run_recorder",
                 "listener": "occupancy_predictor",
             },
         )

@@ -12,7 +12,7 @@ NODES = {
     "skeleton_tracker_replay": settings.SkeletonTrackerReplaySettings,
     "occupancy_predictor": settings.OccupancyPredictorSettings,
     "stomp_planner": settings.StompPlannerSettings,
-    "simulated_pr2": settings.SimulatedPr2Settings,
+    "simulated_arm": settings.SimulatedArmSettings,
     "run_recorder": settings.RunRecorderSettings,
     "occupancy_replay": settings.OccupancyReplaySettings,
 }

@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from humanpred_ros import topics
 from humanpred_ros.bags import messages
 from humanpred_ros.bags.writer import BagWriter
 from humanpred_ros.errors import BagError
-from humanpred_ros.nodes import topics as node_topics
 from humanpred_ros.robot.scene import Scene
-from humanpred_ros.viewing import run_topics
 from humanpred_ros.viewing.run import POSTURE_TO_OCCUPANCY, POSTURE_TO_TRAJECTORY, Run, read_run
 
 REACH_S, POSTURE_S, PERIOD_S = 1.65, 1.65 / 99, 0.0825
@@ -28,13 +27,6 @@ RECORDED = (
     "/r_arm_controller/joint_trajectory",
     "/joint_states",
 )
-
-
-def test_topic_names_are_those_the_nodes_publish_under() -> None:
-    for name in ("OCCUPANCY", "VOXEL_GRID", "HUMAN_GOALS", "JOINT_STATES", "TRAJECTORY", "DECISION"):
-        assert getattr(run_topics, name) == getattr(node_topics, name)
-    assert run_topics.posture_topic([node_topics.human_joint_states("body_7")]) == "/humans/bodies/body_7/joint_states"
-    assert run_topics.urdf_topic([node_topics.human_urdf("body_7")]) == "/humans/bodies/body_7/urdf"
 
 
 def test_series_have_what_was_recorded(full: Run) -> None:
@@ -104,7 +96,7 @@ def test_steps_of_a_restarted_planner_are_counted_anew_and_told(tmp_path: Path) 
     with BagWriter(tmp_path / "bag") as writer:
         for k, step in enumerate((1, 2, 1, 2, 3)):
             array = messages.diagnostic_array(10 * k, [(0, "decision", "replan", {"step": str(step)}), goal])
-            writer.write_message(run_topics.DECISION, 10 * k, array)
+            writer.write_message(topics.DECISION, 10 * k, array)
     run = read_run(tmp_path)
     assert [step.step for step in run.steps] == [1, 2, 3, 4, 5]
     assert any("counted anew" in text for text in run.notes)
@@ -118,7 +110,7 @@ def test_goals_that_come_and_go_lose_nothing_of_the_posterior(tmp_path: Path) ->
             fields = {"x": numbers, "y": numbers + k, "z": numbers, "class_id": numbers}
             fields["probability"] = np.array(probability, dtype=np.float32)
             cloud = messages.point_cloud2(10_000_000 * k, "world", fields)
-            writer.write_message(run_topics.HUMAN_GOALS, 10_000_000 * k, cloud)
+            writer.write_message(topics.HUMAN_GOALS, 10_000_000 * k, cloud)
     posterior = read_run(tmp_path).posterior
     assert posterior.labels == (2, 4, 7)
     np.testing.assert_array_equal(posterior.probability, [[0, 0.25, 0.75], [0.5, 0.125, 0.375], [1, 0, 0]])
@@ -210,6 +202,6 @@ def test_topics_of_another_kind_are_refused(tmp_path: Path) -> None:
 def test_decisions_that_are_not_ours_are_refused(tmp_path: Path, values: dict[str, str]) -> None:
     with BagWriter(tmp_path / "bag") as writer:
         array = messages.diagnostic_array(5, [(0, "decision", "keep", values)])
-        writer.write_message(run_topics.DECISION, 5, array)
+        writer.write_message(topics.DECISION, 5, array)
     with pytest.raises(BagError, match="wanted numbers"):
         read_run(tmp_path)

@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from humanpred_ros import topics
 from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.errors import BagError
-from humanpred_ros.viewing import run_topics as topics
+from humanpred_ros.viewing import run_topics
 from humanpred_ros.viewing.tracks import RecordedDecision
 
-_DIAGNOSTICS = "/diagnostics"
 _READY = "ready"
 _PLANNER = "stomp_planner"
 #: Stamps are rounded to nanoseconds; steps are due this much early, as in the replanner.
@@ -106,7 +106,7 @@ def posture_answers(reader: BagReader) -> tuple[PostureAnswer, ...]:
     Raises:
         BagError: no postures, or a damaged bag.
     """
-    postures = _heard(reader, topics.posture_topic(reader.topics))
+    postures = _heard(reader, topics.body_topic(reader.topics, topics.human_joint_states))
     if not postures:
         raise BagError(f"{reader.path}: wanted a run with postures, got none; did the tracker start?")
     heard_ns = {entry.stamp_ns: entry.heard_ns for entry in _heard(reader, topics.OCCUPANCY)}
@@ -127,7 +127,7 @@ def answers_of(bag: Path, period_s: float, planner_started_ns: int) -> Answers:
     reader = BagReader(bag)
     answers = posture_answers(reader)
     published = {answer.stamp_ns: answer.sent_ns for answer in answers}
-    decisions = [(entry, topics.decision_of(entry.message, 0.0, 0.0)) for entry in _heard(reader, topics.DECISION)]
+    decisions = [(entry, run_topics.decision_of(entry.message, 0.0, 0.0)) for entry in _heard(reader, topics.DECISION)]
     steps = [(entry, decision) for entry, decision in decisions if decision.is_step]
     trajectories = _heard(reader, topics.TRAJECTORY)
     return Answers(
@@ -157,7 +157,7 @@ def _heard(reader: BagReader, topic: str | None) -> list[_Heard]:
     found = []
     for record in reader.messages([topic]):
         message = reader.decode(record)
-        found.append(_Heard(topics.stamp_ns(message), record.publish_time_ns, record.log_time_ns, message))
+        found.append(_Heard(run_topics.stamp_ns(message), record.publish_time_ns, record.log_time_ns, message))
     return found
 
 
@@ -180,7 +180,7 @@ def _stamped_by_step(
 
 
 def _ready_s(reader: BagReader, started_ns: int) -> float:
-    for entry in _heard(reader, _DIAGNOSTICS):
+    for entry in _heard(reader, topics.DIAGNOSTICS):
         for status in entry.message.status:
             if status.name == _PLANNER and status.message == _READY:
                 return (entry.sent_ns - started_ns) * 1e-9

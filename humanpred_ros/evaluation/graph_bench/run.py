@@ -68,12 +68,12 @@ def run_graph(setup: GraphSetup, folder: Path, *, alone: bool) -> GraphRun:
     scene = str(setup.scene)
     with NodeGroup(folder / "logs", free_domain_id()) as group:
         group.start("run_recorder", {"output": str(folder / "bag"), "run_info": json.dumps({"bench": "graph"})})
-        group.start("simulated_pr2", {"scene": scene})
+        group.start("simulated_arm", {"scene": scene})
         group.start("occupancy_predictor", {"scene": scene, "listener": "stomp_planner", **setup.predictor})
         if alone:
             wait_until_resting(group.nodes, group.check, _REST_LIMIT_S)
         started_ns = time.time_ns()
-        planner = group.start("stomp_planner", {"scene": scene, "controller": "simulated_pr2", **setup.planner})
+        planner = group.start("stomp_planner", {"scene": scene, "controller": "simulated_arm", **setup.planner})
         ready: Usage | None = None
         if alone:
             wait_until_resting(group.nodes, group.check, _REST_LIMIT_S)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from humanpred_ros import topics
 from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.graph_bench.input import RATE_HZ, write_motion, write_scene_for
@@ -27,13 +28,11 @@ from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR
 from humanpred_ros.recognition.model_file import save_model
 from humanpred_ros.robot.scene import load_scene
-from humanpred_ros.viewing.run_topics import OCCUPANCY
 
 #: Promised: occupancies a second that `reaching` publishes at least, with so many places, on one core.
 TARGET_HZ = 5.0
 PLACES = 8
 _NODE, _TOLD = "occupancy_predictor", "reaching"
-_POSTURES = "/humans/bodies/<id>/joint_states"
 #: Places so close to each other that few can be ruled out before the hand arrives: the most there is to do.
 _APART_M = 0.02
 #: Length of a run, and of its beginning that does not count: caches, and what is compiled at its first use.
@@ -120,7 +119,7 @@ def run_node(people: People, predictor: str, folder: Path) -> NodeResult:
             {
                 "output": str(folder / "bag"),
                 "run_info": json.dumps({"bench": "predictor"}),
-                "wait_for": f"{_POSTURES},{OCCUPANCY}",
+                "wait_for": f"{topics.human_joint_states('<id>')},{topics.OCCUPANCY}",
             },
         )
         node = group.start(_NODE, parameters)

@@ -1,4 +1,4 @@
-"""A PR2 right arm without a PR2: follows trajectories exactly and reports its joint states."""
+"""Stands in for the robot: follows trajectories exactly and reports the joint states."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
+from humanpred_ros import topics
 from humanpred_ros.errors import PlanningError
-from humanpred_ros.nodes import conversions, qos, topics
+from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, run_node
 from humanpred_ros.nodes.parameters import declare
-from humanpred_ros.nodes.settings import SimulatedPr2Settings
+from humanpred_ros.nodes.settings import SimulatedArmSettings
 from humanpred_ros.planning.schedule import Schedule
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
 from humanpred_ros.robot.scene import load_scene
@@ -21,15 +22,15 @@ from humanpred_ros.robot.scene import load_scene
 _LONG_AGO_S = -1e9
 
 
-class SimulatedPr2(GraphNode):
+class SimulatedArm(GraphNode):
     """Starts at the scene's start configuration and tracks what it is sent, as an ideal controller would.
 
     A new trajectory takes over at its first point's time (header.stamp); until then the old one goes on.
     """
 
     def __init__(self) -> None:
-        super().__init__("simulated_pr2")
-        settings = declare(self, SimulatedPr2Settings)
+        super().__init__("simulated_arm")
+        settings = declare(self, SimulatedArmSettings)
         self.rest_q = load_scene(settings.scene).start
         self.origin_ns: int | None = None
         self.schedule = Schedule(self.rest_q, _LONG_AGO_S)
@@ -87,7 +88,7 @@ class SimulatedPr2(GraphNode):
 
 def main() -> None:
     """Console entry point."""
-    sys.exit(run_node(SimulatedPr2))
+    sys.exit(run_node(SimulatedArm))
 
 
 if __name__ == "__main__":

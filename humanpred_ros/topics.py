@@ -1,6 +1,9 @@
-"""Topic names, in one place."""
+"""The names of the topics the nodes use, for nodes and for whatever reads their bags."""
 
 from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
 
 OCCUPANCY = "/human_occupancy"
 VOXEL_GRID = "/human_occupancy/voxel_grid"
@@ -28,3 +31,14 @@ def human_urdf(body_id: str) -> str:
 def human_markers(body_id: str) -> str:
     """Return the topic of a tracked body's skeleton markers."""
     return f"/humans/bodies/{body_id}/markers"
+
+
+def body_topic(topics: Iterable[str], of: Callable[[str], str]) -> str | None:
+    """Return the topic of the tracked body (the first by name) among `topics`, None if there is none.
+
+    Args:
+        topics: names of topics.
+        of: one of the functions above, for which topic of the body.
+    """
+    pattern = re.compile(of("[^/]+"))
+    return min((topic for topic in topics if pattern.fullmatch(topic)), default=None)
