@@ -69,7 +69,7 @@ class NodeClient:
             self.wait(
                 lambda: all(publisher.get_subscription_count() for publisher in heard) and self.connected(node),
                 f"{self._tested} to listen and speak",
-                timeout_s=60.0,
+                timeout_s=300.0,  # a cold cache is compiled first
             )
             self._ends = stack.pop_all()
         return self
