@@ -248,6 +248,14 @@ def axis_rotation(axis: FloatArray, angle: ArrayLike) -> FloatArray:
     return rotation
 
 
+def inverse_pose(T: FloatArray) -> FloatArray:
+    """Return the inverse of a rigid transform (4, 4)."""
+    inverse = np.eye(4)
+    inverse[:3, :3] = T[:3, :3].T
+    inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+    return inverse
+
+
 def _attached(name: str, link: ArrayLike, local: ArrayLike) -> tuple[NDArray[np.int64], FloatArray]:
     link_array = np.asarray(link, dtype=np.int64)
     if link_array.ndim != 1 or (link_array < 0).any():

@@ -46,7 +46,7 @@ def cache_folder() -> str:
 
     Where nothing can be written there, numba keeps functions beside their sources after all.
     """
-    root = _root()
+    root = cache_root()
     if root is None:
         return ""
     folder = root / sources_digest(Path(__file__).resolve().parent.parent)
@@ -74,7 +74,7 @@ def remove_unused(root: Path, before_s: float) -> None:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def _root() -> Path | None:
+def cache_root() -> Path | None:
     """Return the folder of all versions; None for a user without a home."""
     wished = _settings.CACHE_DIR or os.environ.get("XDG_CACHE_HOME")
     try:

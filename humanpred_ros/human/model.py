@@ -1,8 +1,7 @@
 """A human as a kinematic chain with a body, read from a URDF: the one definition of posture that every stage uses.
 
-pinocchio reads the tree; the transforms are then computed by a compiled kernel for all postures of a motion at once,
-which agrees with pinocchio to rounding (tested). Points and link poses are in the frame of the URDF's root link, the
-tracker's frame.
+The transforms are computed by a compiled kernel for all postures of a motion at once; it agrees with pinocchio to
+rounding (tested). Points and link poses are in the frame of the URDF's root link, the tracker's frame.
 """
 
 from __future__ import annotations
@@ -14,13 +13,13 @@ from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from humanpred_ros.errors import HumanModelError, UsageError
 from humanpred_ros.geometry import posture_kernels as kernels
 from humanpred_ros.geometry.checks import FloatArray, checked
-from humanpred_ros.human.bodies import Body, parse_urdf, read_bodies, signature_of
+from humanpred_ros.geometry.description import Body, Joints
+from humanpred_ros.geometry.urdf import parse_description
 from humanpred_ros.resources import share_file
 
 #: P2's names of the joint centres of trunk and right arm (docs/papers.md, P2 human): each is the origin of a link.
@@ -40,16 +39,6 @@ HUMANS = {
 
 
 T = TypeVar("T", bound=np.generic)
-
-
-class Joints(NamedTuple):
-    """The moving joints of a model, as `kernels.link_poses` wants them; see there."""
-
-    parent: NDArray[np.int64]
-    placement: FloatArray
-    linear: FloatArray
-    K: FloatArray
-    KK: FloatArray
 
 
 class SurfacePoints(NamedTuple):
@@ -84,40 +73,31 @@ class HumanModel:
     """
 
     def __init__(self, urdf: str) -> None:
-        robot = parse_urdf(urdf)
-        self.urdf = urdf
-        self.name = robot.get("name", "human")
-        self.bodies: tuple[Body, ...] = read_bodies(robot)
-        self.signature = signature_of(robot, self.bodies)
         try:
-            tree = pin.buildModelFromXML(urdf)
-        except (ValueError, RuntimeError) as trouble:
-            raise HumanModelError(
-                f"human model {self.name}: wanted a URDF with one tree of links, pinocchio says: {trouble}"
-            ) from trouble
-        self.dof_names: tuple[str, ...] = tuple(tree.names)[1:]
-        for name, joint in zip(self.dof_names, list(tree.joints)[1:], strict=True):
-            if (joint.nq, joint.nv) != (1, 1):
+            said = parse_description(urdf)
+        except UsageError as trouble:
+            raise HumanModelError(f"human model: {trouble}") from trouble
+        self.urdf, self.name, self.signature = urdf, said.name, said.signature
+        for name, kind in zip(said.joint_names, said.kind, strict=True):
+            if kind not in ("revolute", "prismatic") or name in said.mimic:
+                found = "a mimic joint" if name in said.mimic else kind
                 raise HumanModelError(
-                    f"human model {self.name}: joint {name} is {joint.shortname()}; wanted prismatic or revolute "
-                    "joints (write a continuous joint as revolute with limits)"
+                    f"human model {self.name}: joint {name} is {found}; wanted prismatic or revolute joints (write a "
+                    "continuous joint as revolute with limits)"
                 )
-        if not self.dof_names:
+        if not said.joint_names:
             raise HumanModelError(f"human model {self.name}: wanted at least one moving joint, got none")
-        self.lower = _readonly(tree.lowerPositionLimit)
-        self.upper = _readonly(tree.upperPositionLimit)
-        axes = [_axes(joint) for joint in list(tree.joints)[1:]]
-        self.joints = Joints(
-            np.array(list(tree.parents)[1:], dtype=np.int64),
-            np.stack([placement.homogeneous for placement in list(tree.jointPlacements)[1:]]),
-            np.stack([linear for linear, _, _ in axes]),
-            np.stack([K for _, K, _ in axes]),
-            np.stack([KK for _, _, KK in axes]),
-        )
-        links = [frame for frame in tree.frames if frame.type == pin.FrameType.BODY]
-        self.link_names: tuple[str, ...] = tuple(frame.name for frame in links)
-        self.link_joint = np.array([frame.parentJoint for frame in links], dtype=np.int64)
-        self.T_joint_link = np.stack([frame.placement.homogeneous for frame in links])
+        if said.meshes:
+            raise HumanModelError(
+                f"human model {self.name}: wanted boxes, cylinders or spheres as <collision>, got a mesh on link "
+                f"{said.meshes[0].link}; replace meshes by such solids"
+            )
+        self.dof_names: tuple[str, ...] = said.joint_names
+        self.bodies: tuple[Body, ...] = said.bodies
+        self.lower, self.upper = _readonly(said.lower), _readonly(said.upper)
+        self.joints: Joints = said.joints
+        self.link_names: tuple[str, ...] = said.link_names
+        self.link_joint, self.T_joint_link = said.link_joint, said.T_joint_link
         self._surfaces: dict[float, SurfacePoints] = {}
 
     @classmethod
@@ -260,15 +240,6 @@ class HumanModel:
     def _checked(self, q: ArrayLike) -> FloatArray:
         shape = (len(self.dof_names),) if np.ndim(q) == 1 else ("T", len(self.dof_names))
         return np.atleast_2d(checked(f"postures of {self.name}", q, shape, error=HumanModelError))
-
-
-def _axes(joint: pin.JointModel) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return a joint's linear axis (3,), and the cross-product matrix of its angular axis and that matrix squared."""
-    data = joint.createData()
-    joint.calc(data, np.zeros(1))
-    x, y, z = np.array(data.S, dtype=np.float64).ravel()[3:]
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.array(data.S, dtype=np.float64).ravel()[:3], K, K @ K
 
 
 def _readonly(array: NDArray[T]) -> NDArray[T]:

@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike
 from humanpred_ros.errors import GoalUnreachableError, SceneError
 from humanpred_ros.geometry.chain import BodyBoxes, BodyPoints, BodySpheres, KinematicChain, reach_m
 from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.description import LinkSurface, PlacedDescription
 from humanpred_ros.geometry.shapes import Box, Obstacle
-from humanpred_ros.geometry.urdf_model import LinkSurface, UrdfModel, find_pr2_urdf
+from humanpred_ros.geometry.urdf import find_pr2_urdf, read_description
 from humanpred_ros.robot.surface import Bounds, covering_boxes, covering_spheres, sample
 
 _ARM_JOINTS = (
@@ -100,11 +101,11 @@ class Pr2Arm:
         fixed = {"torso_lift_joint": self.torso_lift_m}
         fixed.update(zip(LEFT_ARM_JOINTS, map(float, self.left_arm_rad), strict=True))
         self.urdf = urdf or find_pr2_urdf()
-        self._urdf = UrdfModel(self.urdf, self.T_world_base, fixed)
+        self._urdf = PlacedDescription(read_description(self.urdf), self.T_world_base, fixed)
         for joint, value in fixed.items():
             self._check_fixed(joint, value)
         self.chain: KinematicChain = self._urdf.chain(RIGHT_ARM_JOINTS, TOOL_FRAME)
-        self.link_names = tuple(self._urdf.link_of(joint) for joint in RIGHT_ARM_JOINTS)
+        self.link_names = tuple(self._urdf.description.link_of(joint) for joint in RIGHT_ARM_JOINTS)
         self.tool_frame = TOOL_FRAME
 
     def body_points(self, spacing_m: float = BODY_POINT_SPACING_M) -> BodyPoints:
@@ -202,14 +203,18 @@ class Pr2Arm:
         return array
 
     def _check_fixed(self, joint: str, value: float) -> None:
-        lower, upper = self._urdf.limits(joint)
+        lower, upper = self._urdf.description.limits(joint)
         if not lower - _LIMIT_TOLERANCE_RAD <= value <= upper + _LIMIT_TOLERANCE_RAD:
             raise SceneError(
                 f"robot: wanted {joint} within {lower:.4f} to {upper:.4f} (rad or m), got {value}; correct the scene"
             )
 
 
-def _moving_surfaces(model: UrdfModel) -> list[list[LinkSurface]]:
+def _unplaced(urdf: Path) -> PlacedDescription:
+    return PlacedDescription(read_description(urdf), np.eye(4), {})
+
+
+def _moving_surfaces(model: PlacedDescription) -> list[list[LinkSurface]]:
     """What each joint from the upper arm outwards moves, in the joint's frame."""
     return model.moving_surfaces(RIGHT_ARM_JOINTS)[_FIRST_BODY_JOINT:]
 
@@ -219,12 +224,16 @@ def _moving_surfaces(model: UrdfModel) -> list[list[LinkSurface]]:
 
 @lru_cache(maxsize=2)
 def _sphere_cover(urdf: Path) -> BodySpheres:
-    return _covered(_moving_surfaces(UrdfModel(urdf, np.eye(4), {})), _FIRST_BODY_JOINT, _LARGEST_OTHER_SPHERE_M)
+    return _covered(
+        _moving_surfaces(_unplaced(urdf)),
+        _FIRST_BODY_JOINT,
+        _LARGEST_OTHER_SPHERE_M,
+    )
 
 
 @lru_cache(maxsize=2)
 def _shoulder_cover(urdf: Path) -> BodySpheres:
-    inner = UrdfModel(urdf, np.eye(4), {}).moving_surfaces(RIGHT_ARM_JOINTS)[:_FIRST_BODY_JOINT]
+    inner = _unplaced(urdf).moving_surfaces(RIGHT_ARM_JOINTS)[:_FIRST_BODY_JOINT]
     return _covered(inner, 0, _LARGEST_SHOULDER_SPHERE_M)
 
 
@@ -241,14 +250,14 @@ def _covered(moving: list[list[LinkSurface]], first_joint: int, largest_m: float
 
 @lru_cache(maxsize=2)
 def _box_covers(urdf: Path) -> tuple[tuple[Bounds, ...], ...]:
-    surfaces = UrdfModel(urdf, np.eye(4), {}).fixed_surfaces(RIGHT_ARM_JOINTS)
+    surfaces = _unplaced(urdf).fixed_surfaces(RIGHT_ARM_JOINTS)
     return tuple(tuple(covering_boxes(surface.triangles, _LEAST_SAVING_M3)) for surface, _ in surfaces)
 
 
 @lru_cache(maxsize=2)
 def _inner_box_cover(urdf: Path) -> BodyBoxes:
     link, lower, upper = [], [], []
-    inner = UrdfModel(urdf, np.eye(4), {}).moving_surfaces(RIGHT_ARM_JOINTS)[:_ELBOW_JOINT]
+    inner = _unplaced(urdf).moving_surfaces(RIGHT_ARM_JOINTS)[:_ELBOW_JOINT]
     for joint, surfaces in enumerate(inner):
         for surface in surfaces:
             for low, high in covering_boxes(surface.triangles, _LEAST_SAVING_M3):

@@ -11,7 +11,7 @@ import pytest
 
 from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
-from humanpred_ros.geometry.urdf_model import find_pr2_urdf
+from humanpred_ros.geometry.urdf import find_pr2_urdf
 from humanpred_ros.robot.clearance import arm_clearance, nearest_approach
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
 from humanpred_ros.robot.scene import Scene, load_scene

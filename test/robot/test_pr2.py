@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from humanpred_ros.errors import GoalUnreachableError, SceneError, UsageError
 from humanpred_ros.geometry.shapes import planar_pose
-from humanpred_ros.geometry.urdf_model import find_pr2_urdf
+from humanpred_ros.geometry.urdf import find_pr2_urdf
 from humanpred_ros.robot.pr2 import (
     LEFT_ARM_JOINTS,
     LEFT_ARM_RAD,

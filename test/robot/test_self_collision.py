@@ -13,7 +13,7 @@ import pytest
 from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.chain import BodyBoxes
 from humanpred_ros.geometry.shapes import planar_pose
-from humanpred_ros.geometry.urdf_model import find_pr2_urdf
+from humanpred_ros.geometry.urdf import find_pr2_urdf
 from humanpred_ros.robot.clearance import nearest_approaches
 from humanpred_ros.robot.pr2 import LEFT_ARM_JOINTS, LEFT_ARM_RAD, RIGHT_ARM_JOINTS, TORSO_LIFT_M, Pr2Arm
 from humanpred_ros.robot.scene import load_scene, scene_names

@@ -1,0 +1,291 @@
+"""The one reader of URDFs, for robots and people: yourdfpy reads the file, pinocchio joins fixed links into a tree.
+
+What was read is plain arrays and solids. It is kept in the user's cache folder, because the two libraries together
+take 150 MB and about two seconds in every process; a file that was read before costs a few milliseconds.
+
+URDF knows boxes, cylinders, spheres and meshes. Two marks in a link's <collision_checking> say what a <cylinder>
+stands for; tools that do not know them ignore them:
+
+    <capsule name="B"/>                  collision B has half spheres at both ends (pinocchio's own convention)
+    <elliptic_cylinder name="B" x="S"/>  collision B is an ellipse across: semi-axis S (m) along its x, the cylinder's
+                                         radius along its y
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import os
+import pickle
+import sys
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from humanpred_ros.errors import HumanPredError, UsageError
+from humanpred_ros.geometry import capsules, description
+from humanpred_ros.geometry.capsules import Box, Capsule, EllipticCylinder, Shape, Sphere
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.description import Body, Description, MeshBody, Mimic
+from humanpred_ros.geometry.kernel_cache import cache_root
+
+_PR2_URDF = Path("share", "example-robot-data", "robots", "pr2_description", "urdf", "pr2.urdf")
+
+
+def read_description(urdf: Path) -> Description:
+    """Return what a URDF file says; file names of meshes are looked up beside it and in the folders above it.
+
+    Raises:
+        UsageError: if the file or one of its meshes cannot be read, or says what no description can hold.
+    """
+    if not urdf.is_file():
+        raise UsageError(f"robot: wanted a URDF file, got {urdf}, which does not exist")
+    try:
+        return parse_description(urdf.read_text(encoding="utf-8"), urdf.resolve().parent)
+    except (OSError, UnicodeDecodeError) as trouble:
+        raise UsageError(f"robot: wanted a readable URDF file, got {urdf}: {trouble}") from trouble
+    except UsageError as trouble:
+        raise UsageError(f"robot: wanted a readable URDF, got {urdf}: {trouble}") from trouble
+
+
+@lru_cache(maxsize=32)
+def parse_description(text: str, folder: Path | None = None) -> Description:
+    """Return what the text of a URDF says.
+
+    Args:
+        text: the URDF.
+        folder: where file names of meshes start from; without it they must be absolute.
+
+    Raises:
+        UsageError: with the link or joint and what is wrong with it.
+    """
+    entry = _entry(hashlib.sha256(f"{folder}\n{text}".encode()).hexdigest())
+    kept = _kept(entry)
+    if kept is None:
+        kept = _parse(text, folder)
+        _keep(entry, kept)
+    return kept
+
+
+def find_pr2_urdf() -> Path:
+    """Return the PR2's URDF from wherever example-robot-data is installed (wheel, conda, apt).
+
+    Raises:
+        UsageError: if it is nowhere; the message says what to install.
+    """
+    # pip puts the data into cmeel.prefix of some site-packages, others below a prefix that site-packages are also in.
+    prefixes = [
+        prefix for entry in sys.path if entry for prefix in (Path(entry) / "cmeel.prefix", *Path(entry).parents)
+    ]
+    prefixes += [Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
+    prefixes.append(Path(sys.prefix))
+    for prefix in prefixes:
+        if (prefix / _PR2_URDF).is_file():
+            return prefix / _PR2_URDF
+    raise UsageError(
+        f"the PR2's URDF was looked for as {_PR2_URDF} below {len(prefixes)} prefixes and not found; "
+        "install example-robot-data (pip install example-robot-data), or give the path of a URDF"
+    )
+
+
+def _parse(text: str, folder: Path | None) -> Description:
+    # Imported here: a process that finds its descriptions in the cache needs neither library.
+    import pinocchio as pin
+
+    try:
+        robot = ElementTree.fromstring(text)
+    except ElementTree.ParseError as trouble:
+        raise UsageError(f"wanted a URDF (XML), got text that does not parse: {trouble}") from trouble
+    if robot.tag != "robot":
+        raise UsageError(f"wanted a URDF with the root element <robot>, got <{robot.tag}>")
+    said = _read_elements(robot)
+    try:
+        tree = pin.buildModelFromXML(text)
+    except (ValueError, RuntimeError) as trouble:
+        raise UsageError(f"wanted one tree of links, pinocchio says: {trouble}") from trouble
+    names = tuple(str(name) for name in tree.names)[1:]
+    joints = [said.joint_map[name] for name in names]
+    limits = np.array([_limits(joint) for joint in joints]).reshape(-1, 3)
+    axes = np.array([joint.axis for joint in joints]).reshape(-1, 3)
+    links = [frame for frame in tree.frames if frame.type == pin.FrameType.BODY]
+    link_names = tuple(str(frame.name) for frame in links)
+    files: list[tuple[str, int, int]] = []
+    marks = {str(link.get("name")): _marks(link) for link in robot.iterfind("link")}
+    bodies = [body for link in said.robot.links for body in _bodies(link, marks[link.name], folder, files)]
+    return Description(
+        name=said.robot.name or "robot",
+        joint_names=names,
+        kind=tuple(joint.type for joint in joints),
+        parent=np.array(list(tree.parents)[1:], dtype=np.int64),
+        T_parent_joint=np.array([T.homogeneous for T in list(tree.jointPlacements)[1:]]).reshape(-1, 4, 4),
+        axis=axes / np.linalg.norm(axes, axis=1, keepdims=True),
+        lower=limits[:, 0].copy(),
+        upper=limits[:, 1].copy(),
+        velocity_limit=limits[:, 2].copy(),
+        mimic={
+            name: Mimic(joint.mimic.joint, joint.mimic.multiplier, joint.mimic.offset)
+            for name, joint in zip(names, joints, strict=True)
+            if joint.mimic is not None
+        },
+        link_names=link_names,
+        link_joint=np.array([_joint_of(frame) for frame in links], dtype=np.int64),
+        T_joint_link=np.array([frame.placement.homogeneous for frame in links]),
+        bodies=tuple(body for body in bodies if isinstance(body, Body)),
+        meshes=tuple(body for body in bodies if isinstance(body, MeshBody)),
+        files=tuple(files),
+    )
+
+
+def _joint_of(frame: Any) -> int:
+    return int(frame.parentJoint if hasattr(frame, "parentJoint") else frame.parent)  # pinocchio 3 renamed it
+
+
+def _read_elements(robot: ElementTree.Element) -> Any:
+    """Return yourdfpy's reading of a URDF; an element that it cannot read is found and named."""
+    import yourdfpy
+
+    def load(*elements: ElementTree.Element) -> Any:
+        alone = ElementTree.Element("robot", robot.attrib)
+        alone.extend(elements)
+        text = ElementTree.tostring(alone)
+        return yourdfpy.URDF.load(io.BytesIO(text), build_scene_graph=False, load_meshes=False)
+
+    try:
+        return load(*robot)
+    except Exception as trouble:  # yourdfpy checks nothing: any error of Python may come
+        wanted = (
+            "wanted a <geometry> in each collision and numbers in all lengths, origins and limits, got something else"
+        )
+        for element in robot:
+            try:
+                load(element)
+            except Exception as found:
+                where = f"URDF {element.tag} {element.get('name')}"
+                raise UsageError(f"{where}: {wanted} ({found}); correct it") from found
+        raise UsageError(f"URDF: {wanted} ({trouble}); correct it") from trouble
+
+
+def _limits(joint: Any) -> tuple[float, float, float]:
+    """Return lower and upper limit and the largest speed of a joint; urdfdom has refused hinges without limits."""
+    limit = joint.limit
+    speed = np.inf if limit is None or limit.velocity is None else float(limit.velocity)
+    if joint.type == "continuous" or limit is None:
+        return -np.inf, np.inf, speed
+    return float(limit.lower or 0.0), float(limit.upper or 0.0), speed
+
+
+def _marks(link: ElementTree.Element) -> dict[str, float | None]:
+    """Return which cylinders of a link stand for something else: None for a capsule, a semi-axis for an ellipse."""
+    marks: dict[str, float | None] = {}
+    for mark in (*link.iterfind("collision_checking/capsule"), *link.iterfind("collision_checking/elliptic_cylinder")):
+        where = f"URDF link {link.get('name')}: <{mark.tag} name={mark.get('name')!r}>"
+        if mark.get("name") not in {collision.get("name") for collision in link.iterfind("collision")}:
+            raise UsageError(f"{where} names no <collision> of this link; correct the name")
+        semi_axis_m = None
+        if mark.tag == "elliptic_cylinder":
+            try:
+                semi_axis_m = float(mark.get("x", ""))
+            except ValueError as trouble:
+                raise UsageError(f"{where}: wanted a number in 'x', got {mark.get('x')!r}; correct it") from trouble
+        marks[str(mark.get("name"))] = semi_axis_m
+    return marks
+
+
+def _bodies(
+    link: Any, marks: Mapping[str, float | None], folder: Path | None, files: list[tuple[str, int, int]]
+) -> list[Body | MeshBody]:
+    bodies: list[Body | MeshBody] = []
+    for collision in link.collisions:
+        name = str(collision.name or link.name)
+        where = f"URDF link {link.name}, collision {name}"
+        T = np.eye(4) if collision.origin is None else collision.origin
+        if not np.isfinite(T).all():
+            raise UsageError(f"{where}: wanted finite numbers in 'xyz' and 'rpy', got {T.tolist()}; correct them")
+        if collision.geometry is not None and collision.geometry.mesh is not None:
+            triangles = _mesh(where, collision.geometry.mesh, folder, files)
+            bodies.append(MeshBody(name, link.name, triangles, T))
+        else:
+            try:
+                shape = _shape(collision.geometry, name in marks, marks.get(name))
+            except HumanPredError as trouble:
+                raise UsageError(f"{where}: {trouble}") from trouble
+            bodies.append(Body(name, link.name, shape, T))
+    return bodies
+
+
+def _shape(geometry: Any, marked: bool, semi_axis_m: float | None) -> Shape:
+    if geometry is not None and geometry.sphere is not None:
+        return Sphere(float(geometry.sphere.radius))
+    if geometry is not None and geometry.box is not None:
+        if np.shape(geometry.box.size) != (3,):
+            raise UsageError(f"wanted 3 finite numbers in 'size', got {geometry.box.size}; correct it")
+        return Box(*map(float, geometry.box.size))
+    if geometry is not None and geometry.cylinder is not None:
+        radius_m, length_m = float(geometry.cylinder.radius), float(geometry.cylinder.length)
+        if marked and semi_axis_m is None:
+            return Capsule(radius_m, length_m)
+        return EllipticCylinder(radius_m if semi_axis_m is None else semi_axis_m, radius_m, length_m)
+    raise UsageError("wanted a <geometry> with a box, cylinder, sphere or mesh, got none; add one")
+
+
+def _mesh(where: str, mesh: Any, folder: Path | None, files: list[tuple[str, int, int]]) -> FloatArray:
+    import trimesh
+
+    # package:// names a folder above the URDF, whatever that package is called in this installation.
+    name = str(mesh.filename).removeprefix("package://").removeprefix("file://")
+    folders = [] if folder is None else [folder, *folder.parents]
+    found = next((path for path in (base / name for base in folders or [Path("/")]) if path.is_file()), None)
+    if found is None:
+        raise UsageError(f"{where}: wanted the mesh {mesh.filename}, which is not beside the URDF nor above it")
+    try:
+        loaded: Any = trimesh.load(found, force="mesh", process=False)
+        triangles = np.array(loaded.triangles, dtype=np.float64)
+    except (ValueError, TypeError, OSError, ImportError) as trouble:
+        raise UsageError(f"{where}: wanted a readable mesh, got {found}: {trouble}") from trouble
+    files.append(_state(str(found)))
+    scaled: FloatArray = triangles if mesh.scale is None else triangles * mesh.scale
+    return scaled
+
+
+def _state(file: str) -> tuple[str, int, int]:
+    """Return a file's name, size and time of change (ns), by which a change of it is noticed."""
+    state = os.stat(file)
+    return file, state.st_size, state.st_mtime_ns
+
+
+def _entry(key: str) -> Path | None:
+    """Return the cache's file of a description; another one after any change of what reads or holds it."""
+    root = cache_root()
+    if root is None:
+        return None
+    code = b"".join(Path(str(module)).read_bytes() for module in (__file__, description.__file__, capsules.__file__))
+    version = hashlib.sha256(code + np.__version__.encode()).hexdigest()[:16]
+    return root / f"descriptions-{version}" / f"{key[:32]}.pickle"
+
+
+def _kept(entry: Path | None) -> Description | None:
+    """Return a description that was read before, unless one of its meshes has changed since."""
+    if entry is None:
+        return None
+    try:
+        kept: Description = pickle.loads(entry.read_bytes())
+        os.utime(entry.parent)
+        unchanged = all(_state(name) == (name, *state) for name, *state in kept.files)
+    except (OSError, EOFError, pickle.UnpicklingError, AttributeError, ImportError, TypeError, ValueError):
+        return None  # nothing there, or written by something else: read again
+    return kept if unchanged else None
+
+
+def _keep(entry: Path | None, said: Description) -> None:
+    if entry is None:
+        return
+    with contextlib.suppress(OSError):  # where nothing can be written, every process reads again
+        entry.parent.mkdir(parents=True, exist_ok=True)
+        unfinished = entry.with_suffix(f".{os.getpid()}")
+        unfinished.write_bytes(pickle.dumps(said))
+        unfinished.replace(entry)
