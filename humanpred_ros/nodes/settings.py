@@ -6,7 +6,7 @@ config/nodes.yaml against them, so a default lives in exactly one place.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from humanpred_ros import topics
@@ -15,7 +15,7 @@ from humanpred_ros.planning.replanner import ReplannerConfig
 from humanpred_ros.reaching.features import NAMED_WEIGHTS
 from humanpred_ros.reaching.reaching_predictor import DEFAULT_WEIGHTS
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
-from humanpred_ros.stomp.planner import StompConfig
+from humanpred_ros.stomp.config import StompConfig
 
 _REPLANNER = ReplannerConfig()
 _STOMP = StompConfig()
@@ -88,10 +88,10 @@ class StompPlannerSettings:
     scene: str = setting("face_to_face", "scene name in config/scenes, or a YAML file")
     period_s: float = setting(_REPLANNER.period_s, "length of a replanning step", 0.02, 10.0)
     seed: int = setting(_REPLANNER.seed, "seed of every random draw", 0, 2**31 - 1)
-    threads: int = setting(_REPLANNER.n_threads, "goals planned at the same time", 1, 64)
-    waypoints: int = setting(_STOMP.n_waypoints, "waypoints of a path", 10, 1000)
-    iterations: int = setting(_STOMP.n_iterations, "STOMP iterations per goal and step", 1, 10000)
-    rollouts: int = setting(_STOMP.n_rollouts, "noisy rollouts per iteration, half of them reused", 2, 1000)
+    threads: int = setting(_REPLANNER.threads, "goals planned at the same time", 1, 64)
+    waypoints: int = setting(_STOMP.waypoints, "waypoints of a path", 10, 1000)
+    iterations: int = setting(_STOMP.iterations, "STOMP iterations per goal and step", 1, 10000)
+    rollouts: int = setting(_STOMP.rollouts, "noisy rollouts per iteration, half of them reused", 2, 1000)
     noise_std: float = setting(
         _STOMP.noise_std,
         "noise of the rollouts, units of R^-1; may be changed at run time",
@@ -127,20 +127,18 @@ class StompPlannerSettings:
 
     def replanner_config(self) -> ReplannerConfig:
         """Return the replanner's configuration these parameters stand for."""
-        stomp = replace(
-            _STOMP,
-            n_waypoints=self.waypoints,
-            n_iterations=self.iterations,
-            n_rollouts=self.rollouts,
-            n_reused=self.rollouts // 2,
+        stomp = _STOMP.replaced(
+            waypoints=self.waypoints,
+            iterations=self.iterations,
+            rollouts=self.rollouts,
+            reused=self.rollouts // 2,
             noise_std=self.noise_std,
             noise_decay=self.noise_decay,
         )
-        return replace(
-            _REPLANNER,
+        return _REPLANNER.replaced(
             period_s=self.period_s,
             seed=self.seed,
-            n_threads=self.threads,
+            threads=self.threads,
             velocity_scale=self.velocity_scale,
             acceleration_limit=self.acceleration_limit,
             min_improvement=self.min_improvement,

@@ -19,9 +19,8 @@ from humanpred_ros.planning.reconnection import reconnect
 from humanpred_ros.planning.situation import Situation
 from humanpred_ros.planning.timing.path import path_integral, path_parameter, resampled, straight
 from humanpred_ros.planning.tools import Tools
-from humanpred_ros.stomp.costs import BoolArray, HumanOccupancyCost, as_batch
-from humanpred_ros.stomp.planner import Float32Array, Plan, StompPlanner, StompRun
-from humanpred_ros.stomp.rounds import advance_all
+from humanpred_ros.stomp.costs import BoolArray, Float32Array, HumanOccupancyCost, as_batch
+from humanpred_ros.stomp.planner import Plan, StompPlanner, StompRun, advance_all
 
 #: Configurations the rest of a trajectory is first read at, before it is spaced evenly.
 _REREAD = 300
@@ -74,7 +73,7 @@ class Candidates:
         for task, seed in zip(tasks, seeds, strict=True):
             if not task.set_aside:
                 task.run = self._planner.begin(task.initial, np.random.default_rng(seed), now.noise_std)
-        n = cfg.stomp.n_iterations
+        n = cfg.stomp.iterations
         first = cfg.prune_after if 0 < cfg.prune_after < n and len(tasks) > 1 else n
         self._advance(tasks, first, deadline)
         if first < n:
@@ -90,13 +89,13 @@ class Candidates:
     def arrived(self, name: str) -> GoalReport:
         """Return the report of a goal the robot rests at."""
         now = self._now
-        path = np.repeat(self._q[None], self._tools.config.stomp.n_waypoints, axis=0)
+        path = np.repeat(self._q[None], self._tools.config.stomp.waypoints, axis=0)
         at = int(np.argmin(np.abs(now.goals[name] - self._q).max(axis=1)))
         return self._report(_Task(name, at, path, "arrived", ""), self._planner.assess(path))
 
     def _advance(self, tasks: list[_Task], iterations: int, deadline: Callable[[], bool] | None) -> None:
         runs = [task.run for task in tasks if task.run is not None and not task.set_aside]
-        advance_all(runs, iterations, self._tools.pool, self._tools.config.n_threads, deadline)
+        advance_all(runs, iterations, self._tools.pool, self._tools.config.threads, deadline)
 
     def _prune(self, tasks: list[_Task]) -> None:
         """Set aside the goals that are dearer by far than the cheapest allowed one."""
@@ -122,7 +121,7 @@ class Candidates:
         if name == now.leads_to:
             at = int(np.argmin(np.abs(configurations - now.executing.q[-1]).max(axis=1)))
             if not reasons[at]:
-                n, weights = self._tools.config.stomp.n_waypoints, self._tools.weights
+                n, weights = self._tools.config.stomp.waypoints, self._tools.weights
                 rest = resampled(now.executing.rest_of(now.t_switch_s, _REREAD), n, weights)
                 return _Task(name, at, rest, "executing", "")
         at = self._alternative(name, reasons)
@@ -138,7 +137,7 @@ class Candidates:
         if len(configurations) == 1:
             return 0
         cfg, weights = self._tools.config, self._tools.weights
-        lines = np.stack([straight(self._q, goal, cfg.stomp.n_waypoints) for goal in configurations])
+        lines = np.stack([straight(self._q, goal, cfg.stomp.waypoints) for goal in configurations])
         human = self._human.evaluate(as_batch(lines))[0].astype(np.float64)
         free: BoolArray = np.all(self._tools.obstacles.valid(lines), axis=1)
         before = self._now.paths.get(name)
@@ -155,7 +154,7 @@ class Candidates:
     def _warm_start(self, name: str, goal: FloatArray) -> tuple[FloatArray, str]:
         """Return the path to begin with and where it comes from."""
         cfg, weights = self._tools.config, self._tools.weights
-        n = cfg.stomp.n_waypoints
+        n = cfg.stomp.waypoints
         before = self._now.paths.get(name)
         if before is None or not np.array_equal(before[-1], goal):
             return straight(self._q, goal, n), "straight"

@@ -61,7 +61,7 @@ def ways_aside(
     lacking = np.round((separation + _COMFORT_M - clearance) / 0.01)
     for k in np.lexsort((cost, lacking))[: len(places)]:
         if free[k]:
-            yield straight(q, places[k], tools.config.stomp.n_waypoints)
+            yield straight(q, places[k], tools.config.stomp.waypoints)
             count -= 1
             if count == 0:
                 return

@@ -42,7 +42,7 @@ from humanpred_ros.robot.arm import Arm
 from humanpred_ros.robot.goal import Goal
 from humanpred_ros.robot.scene import Scene
 from humanpred_ros.robot.self_collision import SelfCollision
-from humanpred_ros.stomp.planner import Float32Array
+from humanpred_ros.stomp.costs import Float32Array
 
 __all__ = ["MultiGoalReplanner", "ReplannerConfig"]
 

@@ -21,7 +21,7 @@ from humanpred_ros.planning.timing.parameterisation import time_parameterise
 from humanpred_ros.planning.timing.stopping import brake_along
 from humanpred_ros.planning.timing.trajectory import TimedTrajectory
 from humanpred_ros.planning.tools import Tools
-from humanpred_ros.stomp.planner import Float32Array
+from humanpred_ros.stomp.costs import Float32Array
 
 #: What a timed trajectory may exceed the joint limits by, rad: corners are rounded off, and what is left of the old
 #: velocity leads off the path for a moment.

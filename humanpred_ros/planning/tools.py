@@ -66,7 +66,7 @@ class Tools:
             weights=np.array([float(arm.configuration_distance(np.zeros(n), unit)) for unit in np.eye(n)]),
             velocity_limit=config.velocity_scale * chain.velocity_limit,
             acceleration_limit=np.array(np.broadcast_to(config.acceleration_limit, (n,)), dtype=np.float64),
-            pool=ThreadPoolExecutor(config.n_threads) if config.n_threads > 1 else None,
+            pool=ThreadPoolExecutor(config.threads) if config.threads > 1 else None,
         )
 
     def planner(self, occupancy: Occupancy) -> tuple[StompPlanner, HumanOccupancyCost]:

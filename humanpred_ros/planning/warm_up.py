@@ -20,7 +20,7 @@ def warm_up(tools: Tools, q: FloatArray, centre_m: FloatArray) -> None:
     corner[0, 0, 0] = 1.0
     occupancy = Occupancy(grid, corner)
     planner, _ = tools.planner(occupancy)
-    path = straight(q, q + 0.1, tools.config.stomp.n_waypoints)
+    path = straight(q, q + 0.1, tools.config.stomp.waypoints)
     planner.plan(path, np.random.default_rng(0))
     reconnect(q, path, planner.terms, tools.weights, tools.config.reconnect_step, len(path))
     trajectory = time_parameterise(path, tools.velocity_limit, tools.acceleration_limit)

@@ -28,7 +28,7 @@ from humanpred_ros.reaching.features import (
     FeatureSettings,
     ReachSituation,
 )
-from humanpred_ros.stomp.costs import CostTerm, JointCostTerm, as_batch
+from humanpred_ros.stomp.costs import CostTerm
 
 Float32Array = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
@@ -37,7 +37,7 @@ CLEARANCE_M = 0.05
 OBSTACLE_WEIGHT = 4.0
 
 
-class PostureSmoothness(JointCostTerm):
+class PostureSmoothness(CostTerm):
     """Length, velocity, acceleration and jerk of the posture, by DoF; features 0 to 3 (P2 III-A).
 
     Args:
@@ -59,19 +59,16 @@ class PostureSmoothness(JointCostTerm):
         first: ArrayLike,
         history: FloatArray | None = None,
     ) -> None:
-        super().__init__("posture", 1.0)
         self._first = checked("first posture", first, ("J",), error=PlanningError)
+        super().__init__("posture", 1.0, len(self._first))
         self._weights = _per_waypoint(weights, SCALES[:4], duration_s, n_waypoints)
         self._n = n_waypoints
         self._before = _before(self._first if history is None else history)
 
-    def joint_costs(self, q: ArrayLike) -> Float32Array:
-        batch = as_batch(q, len(self._first))
-        if batch.shape[1] != self._n:
-            raise PlanningError(f"posture smoothness: wanted {self._n} waypoints, got {batch.shape[1]}")
-        return self.evaluate_joints(batch)[0]
-
-    def evaluate_joints(self, q: Float32Array) -> tuple[Float32Array, BoolArray | None]:
+    def evaluate(self, q: Float32Array) -> tuple[Float32Array, BoolArray | None]:
+        """Return the costs (R, N, J) by DoF; see `CostTerm.evaluate`."""
+        if q.shape[1] != self._n:
+            raise PlanningError(f"posture smoothness: wanted {self._n} waypoints, got {q.shape[1]}")
         out = np.empty_like(q)
         kernels.difference_costs(q, self._before, self._weights, out)
         return out, None
@@ -111,7 +108,7 @@ class BodyCost(CostTerm):
         clearance_m: float = CLEARANCE_M,
         features: FeatureSettings | None = None,
     ) -> None:
-        super().__init__("body", 1.0)
+        super().__init__("body", 1.0, len(body.model.dof_names))
         w = checked("weights", weights, (N_FEATURES,), error=PlanningError)
         if not (obstacle_weight >= 0.0 and clearance_m > 0.0):
             raise PlanningError(
@@ -129,9 +126,6 @@ class BodyCost(CostTerm):
         self._partner = _closeness(w[N_SMOOTHNESS:], situation, n_waypoints, features or FeatureSettings(), rows)
         self._obstacle = _obstacles(body, field if self._with_body else None, obstacle_weight, clearance_m)
         self._idle = not (smooth.any() or len(self._partner[1]) or self._with_body)
-
-    def costs(self, q: ArrayLike) -> Float32Array:
-        return self.evaluate(as_batch(q, self._n_dofs))[0]
 
     def evaluate(self, q: Float32Array) -> tuple[Float32Array, BoolArray | None]:
         n_reaches, n = q.shape[:2]

@@ -8,7 +8,7 @@ present posture. The same draws serve every update and every place, so predictio
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -24,7 +24,7 @@ from humanpred_ros.reaching.progress import ReachProgress
 from humanpred_ros.reaching.reach_model import ReachModel
 from humanpred_ros.reaching.shape import ReachShape
 from humanpred_ros.reaching.surroundings import Surroundings
-from humanpred_ros.stomp.planner import StompConfig
+from humanpred_ros.stomp.config import StompConfig
 
 #: STOMP needs some noise for every DoF.
 _LEAST_NOISE, _MOST_NOISE = 1e-6, 0.003
@@ -49,9 +49,7 @@ class ReachFuturesConfig:
     n_samples: int = 16
     step_m: float = 0.06
     planned: bool = True
-    stomp: StompConfig = field(
-        default_factory=lambda: StompConfig(n_waypoints=30, n_iterations=15, n_rollouts=10, n_reused=5)
-    )
+    stomp: StompConfig = field(default_factory=lambda: StompConfig(waypoints=30, iterations=15, rollouts=10, reused=5))
     obstacle_weight: float = 40.0
     seed: int = 0
 
@@ -86,9 +84,9 @@ class ReachFutures:
         self.model = model
         self.config = c = config or ReachFuturesConfig()
         human = model.human
-        deviation = np.sqrt(np.diag(model.shape.variation)) / unit_deviation(c.stomp.n_waypoints)
+        deviation = np.sqrt(np.diag(model.shape.variation)) / unit_deviation(c.stomp.waypoints)
         noise = tuple(np.clip(deviation, _LEAST_NOISE, _MOST_NOISE).tolist())
-        planning = ReachPlannerConfig(replace(c.stomp, noise_std=noise), obstacle_weight=c.obstacle_weight)
+        planning = ReachPlannerConfig(c.stomp.replaced(noise_std=noise), obstacle_weight=c.obstacle_weight)
         bounds = PostureBounds(human.lower, human.upper, np.zeros(len(human.dof_names), dtype=np.bool_))
         self._planner = ReachPlanner(human, weights, bounds, scene or Surroundings.empty(), planning)
         self._nobody = self._planner.nobody()
@@ -209,7 +207,7 @@ class ReachFutures:
         self, start: FloatArray, now: FloatArray, end: EndPosture, share: FloatArray, way_m: float
     ) -> FloatArray:
         """Return by how much the planned way (N, D) differs from the one it began with, at shares (N,)."""
-        n = self.config.stomp.n_waypoints
+        n = self.config.stomp.waypoints
         evenly = np.linspace(share[0], 1.0, n)
         guess = self._shape(start.tobytes())[0].bow_at(evenly, way_m)
         first = guess[0].copy()

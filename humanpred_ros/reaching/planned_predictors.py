@@ -99,11 +99,11 @@ def improved_planner(
 ) -> ReachPlanner:
     """Return the planner of the better predictor."""
     improved, plain = config or ImprovedConfig(), ReachPlannerConfig()
-    deviation = improved.variation_share * posture_variation(recordings) / unit_deviation(plain.stomp.n_waypoints)
+    deviation = improved.variation_share * posture_variation(recordings) / unit_deviation(plain.stomp.waypoints)
     noise = np.clip(deviation, _LEAST_NOISE, improved.most_noise)
     settings = replace(
         plain,
-        stomp=replace(plain.stomp, n_iterations=improved.n_iterations, noise_std=tuple(noise.tolist())),
+        stomp=plain.stomp.replaced(iterations=improved.n_iterations, noise_std=tuple(noise.tolist())),
         obstacle_weight=improved.obstacle_weight,
         averaged=improved.averaged,
     )

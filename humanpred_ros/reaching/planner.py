@@ -30,7 +30,8 @@ from humanpred_ros.reaching.posture_bounds import PostureBounds
 from humanpred_ros.reaching.reach_task import ReachTask
 from humanpred_ros.reaching.surroundings import Surroundings
 from humanpred_ros.stomp import iteration_kernels
-from humanpred_ros.stomp.planner import StompConfig, StompPlanner
+from humanpred_ros.stomp.config import StompConfig
+from humanpred_ros.stomp.planner import StompPlanner
 from humanpred_ros.stomp.smoothness import smoothness
 
 #: Beyond the cutoff of every feature.
@@ -51,9 +52,7 @@ class ReachPlannerConfig:
     """
 
     stomp: StompConfig = field(
-        default_factory=lambda: StompConfig(
-            n_waypoints=100, n_iterations=100, n_rollouts=10, n_reused=5, noise_std=0.001
-        )
+        default_factory=lambda: StompConfig(waypoints=100, iterations=100, rollouts=10, reused=5, noise_std=0.001)
     )
     noise_share: float = 0.5
     obstacle_weight: float = OBSTACLE_WEIGHT
@@ -134,7 +133,7 @@ class ReachPlanner:
         self.weights: FloatArray = frozen(w)  # type: ignore[assignment]
         self.scene = scene or Surroundings.of_p2()
         self.config = config or ReachPlannerConfig()
-        self.features = FeatureSettings(n_waypoints=self.config.stomp.n_waypoints)
+        self.features = FeatureSettings(n_waypoints=self.config.stomp.waypoints)
         self._body = ReachBody(model)
         self._partner_points = ChainPoints(model, LINK_POINTS)
         self._partner_capsules = BodyCapsules.of(model)
@@ -174,7 +173,7 @@ class ReachPlanner:
         Raises:
             MotionError: arrays or numbers that do not fit.
         """
-        n, J = self.config.stomp.n_waypoints, len(self.model.dof_names)
+        n, J = self.config.stomp.waypoints, len(self.model.dof_names)
         first, last = (checked(k, v, (J,), error=MotionError) for k, v in (("start", start), ("goal", goal)))
         past = None if history is None else checked("history", history, ("H", J), error=MotionError)
         lower, upper = self.bounds.around(first, last)
@@ -196,7 +195,7 @@ class ReachPlanner:
     def _terms(
         self, first: FloatArray, duration_s: float, partner: Partner, past: FloatArray | None
     ) -> tuple[PostureSmoothness, BodyCost]:
-        cfg, n = self.config, self.config.stomp.n_waypoints
+        cfg, n = self.config, self.config.stomp.waypoints
         situation = ReachSituation(duration_s, partner.points_m, past)
         return (
             PostureSmoothness(self.weights[:4], duration_s, n, first, past),
@@ -208,7 +207,7 @@ class ReachPlanner:
 
     def _noise(self, lower: FloatArray, upper: FloatArray) -> FloatArray:
         """Return the scale of the noise of each DoF (J,), no more than fits its bounds."""
-        most = self.config.noise_share * 0.5 * (upper - lower) / unit_deviation(self.config.stomp.n_waypoints)
+        most = self.config.noise_share * 0.5 * (upper - lower) / unit_deviation(self.config.stomp.waypoints)
         noise: FloatArray = np.minimum(self.config.stomp.noise_std, most)
         return noise
 

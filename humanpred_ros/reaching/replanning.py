@@ -53,7 +53,7 @@ class Replanned:
         planner, t_s = self.planner, task.t_s - task.t_s[0]
         planner.model.check_dofs(task.dof_names)
         done = np.tile(task.start, (len(t_s), 1))
-        n = planner.config.stomp.n_waypoints
+        n = planner.config.stomp.waypoints
         plan: PlannedReach | None = None
         begin_s = 0.0
         for now in self.frames(t_s):

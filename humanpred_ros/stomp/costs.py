@@ -1,17 +1,19 @@
-"""What a trajectory is charged for: one class per term, all batch in, batch out.
+"""Cost terms: what a trajectory is charged for, and which configurations it may not contain.
 
-A term turns configurations (R, N, D) into costs (R, N), float32, and may also say which configurations are
-not allowed at all. Validity and cost are apart, so that a cheap path through the table is never mistaken
-for a good one. Terms are immutable and may be shared by threads; where the world changes, a new term is made.
+A term takes a batch of trajectories and returns their costs, and whether each configuration is allowed at all. Cost
+and validity are apart, so that a cheap path through the table is never mistaken for a good one. Terms are immutable and
+may be shared by threads; where the world changes, a new term is made.
 
-In P1 a waypoint costs 0.1 x (obstacle + human) + 10000 x smoothness (facts section 4); `StompConfig` says why
-our obstacle weight is another.
+A package of your own adds a term by deriving a class from `CostTerm` and naming it in the entry points
+`humanpred_ros.cost_terms`; `ReplannerConfig.cost_terms` chooses terms by name. The built-in ones are registered in the
+same way.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,8 +24,9 @@ from humanpred_ros.geometry.checks import checked
 from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.stomp import cost_kernels
-from humanpred_ros.stomp.accelerations import acceleration_costs
+from humanpred_ros.stomp.config import StompConfig
 from humanpred_ros.stomp.flat_chain import flatten
+from humanpred_ros.stomp.smoothness import acceleration_costs
 
 Float32Array = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
@@ -33,90 +36,120 @@ BoolArray = NDArray[np.bool_]
 POINTS_OF_P1 = 87.0
 
 
+@dataclass(frozen=True, eq=False)
+class CostTermRequest:
+    """What the replanner makes a cost term from.
+
+    Attributes:
+        chain: kinematics of the arm, with its joint limits.
+        points: points on the arm's surface.
+        spheres: spheres that cover the arm.
+        field: signed distance to obstacles, world frame.
+        padding_m: clearance that every configuration must keep from obstacles.
+        settings: of STOMP, with the weights of the built-in terms.
+        occupancy: predicted human occupancy, widened by the margin. None for a term that is not `per_occupancy`.
+    """
+
+    chain: KinematicChain
+    points: BodyPoints
+    spheres: BodySpheres
+    field: SignedDistanceField
+    padding_m: float
+    settings: StompConfig
+    occupancy: Occupancy | None = None
+
+
 class CostTerm(ABC):
     """One reason why a configuration on a trajectory is bad.
 
     Attributes:
-        name: how plans report the term's share.
+        name: how plans report the term's share; no two terms of a planner have the same.
         weight: factor of the term in the total.
+        per_occupancy: whether the replanner makes the term anew for every predicted occupancy, or once.
     """
 
-    def __init__(self, name: str, weight: float) -> None:
+    per_occupancy: ClassVar[bool] = False
+
+    def __init__(self, name: str, weight: float, n_joints: int | None = None) -> None:
+        """Take name and weight, and the number of joints D if the term is made for one arm.
+
+        Raises:
+            PlanningError: for a weight that is negative or not finite.
+        """
         if not (np.isfinite(weight) and weight >= 0.0):
             raise PlanningError(f"cost term {name}: wanted a weight >= 0, got {weight}")
         self.name = name
         self.weight = float(weight)
+        self._n_joints = n_joints
+
+    @classmethod
+    def build(cls, request: CostTermRequest) -> CostTerm:
+        """Return the term for an arm in its surroundings; every term that is chosen by name has this.
+
+        Raises:
+            PlanningError: for a term that cannot be made from a request.
+        """
+        raise PlanningError(f"cost term {cls.__name__}: wanted a class with its own `build`, got none; write one")
 
     @abstractmethod
+    def evaluate(self, q: Float32Array) -> tuple[Float32Array, BoolArray | None]:
+        """Return the unweighted costs of a batch, and which configurations are allowed.
+
+        Args:
+            q: (R, N, D) R trajectories of N waypoints, rad, contiguous; not to be changed.
+
+        Returns:
+            Costs (R, N), or (R, N, D) where each joint's part is known, so that STOMP weighs joints apart; whether
+            each configuration is allowed (R, N), or None where the term never forbids any.
+        """
+
     def costs(self, q: ArrayLike) -> Float32Array:
-        """Return the unweighted costs (R, N) of trajectories q (R, N, D) in rad."""
+        """Return the unweighted costs (R, N) of trajectories q (R, N, D), rad.
+
+        Raises:
+            PlanningError: for another number of axes or joints, or values that are not finite.
+        """
+        return _summed(self.evaluate(as_batch(q, self._n_joints))[0])
 
     def valid(self, q: ArrayLike) -> BoolArray:
-        """Return which configurations (R, N) this term allows; all of them unless it says otherwise."""
-        return np.ones(np.shape(q)[:2], dtype=np.bool_)
-
-    def evaluate(self, q: Float32Array) -> tuple[Float32Array, BoolArray | None]:
-        """Return costs and validity in one go; None where the term never forbids anything.
-
-        This is what planners call, with a batch that `as_batch` would leave as it is; it need not check.
-        """
-        return self.costs(q), self.valid(q) if self._forbids() else None
-
-    def _forbids(self) -> bool:
-        return type(self).valid is not CostTerm.valid
+        """Return which configurations (R, N) of trajectories q (R, N, D) the term allows; raises as `costs`."""
+        batch = as_batch(q, self._n_joints)
+        allowed = self.evaluate(batch)[1]
+        return np.ones(batch.shape[:2], dtype=np.bool_) if allowed is None else allowed
 
 
-class JointCostTerm(CostTerm):
-    """A cost term that knows each joint's part, so that STOMP can weigh joints apart (control costs)."""
-
-    @abstractmethod
-    def joint_costs(self, q: ArrayLike) -> Float32Array:
-        """Return the unweighted costs (R, N, D) per joint."""
-
-    def evaluate_joints(self, q: Float32Array) -> tuple[Float32Array, BoolArray | None]:
-        """Return costs per joint and validity in one go; like `evaluate`, it need not check the batch."""
-        return self.joint_costs(q), self.valid(q) if self._forbids() else None
-
-    def costs(self, q: ArrayLike) -> Float32Array:
-        """Return the costs (R, N): the sum over joints."""
-        total: Float32Array = self.joint_costs(q).sum(axis=2)
-        return total
-
-    def evaluate(self, q: Float32Array) -> tuple[Float32Array, BoolArray | None]:
-        costs, allowed = self.evaluate_joints(q)
-        return costs.sum(axis=2), allowed
-
-
-class SmoothnessCost(JointCostTerm):
-    """Half the squared acceleration, rad per squared step, of the trajectory at rest at both ends (facts 4)."""
+class SmoothnessCost(CostTerm):
+    """Half the squared acceleration of every joint, of a trajectory at rest at both ends (docs/papers.md, 1.11)."""
 
     def __init__(self, weight: float = 10000.0) -> None:
         super().__init__("smoothness", weight)
 
-    def joint_costs(self, q: ArrayLike) -> Float32Array:
-        batch = as_batch(q)
-        if batch.shape[1] < 5:
-            raise PlanningError(f"smoothness: wanted at least 5 waypoints, got {batch.shape[1]}")
-        return self.evaluate_joints(batch)[0]
+    @classmethod
+    def build(cls, request: CostTermRequest) -> SmoothnessCost:
+        return cls(request.settings.smoothness_weight)
 
-    def evaluate_joints(self, q: Float32Array) -> tuple[Float32Array, BoolArray | None]:
+    def evaluate(self, q: Float32Array) -> tuple[Float32Array, BoolArray | None]:
+        """Return the costs (R, N, D), (rad per squared step)^2; see `CostTerm.evaluate`."""
+        if q.shape[1] < 5:
+            raise PlanningError(f"smoothness: wanted at least 5 waypoints, got {q.shape[1]}")
         out = np.empty_like(q)
         acceleration_costs(q, out)
         return out, None
 
 
 class HumanOccupancyCost(CostTerm):
-    """How many of P1's body points would be inside predicted human occupancy (P1 IV; facts section 4).
+    """How many of P1's body points would be inside of predicted human occupancy (docs/papers.md, 1.10).
 
-    The mean of the occupancy over the robot's body points, times `POINTS_OF_P1`; points outside the grid
+    The mean of the occupancy over the robot's body points, times `POINTS_OF_P1`; points outside of the grid
     count zero. Only the box of occupied voxels is kept.
     """
 
+    per_occupancy = True
+
     def __init__(self, chain: KinematicChain, points: BodyPoints, occupancy: Occupancy, weight: float = 0.1) -> None:
-        super().__init__("human", weight)
+        super().__init__("human", weight, chain.n_joints)
         self.occupancy = occupancy
         self.points = points
-        self._n_joints = chain.n_joints
         self._factor = np.float32(POINTS_OF_P1 / max(len(points), 1))
         lattice, first = _cropped(occupancy.probability)
         self._shape = lattice.shape
@@ -126,6 +159,12 @@ class HumanOccupancyCost(CostTerm):
         self._arm = flatten(chain, points.link, points.local_m, np.zeros(len(points)), origin, grid.resolution_m)
         self._cells_per_m = np.float32(1.0 / grid.resolution_m)
 
+    @classmethod
+    def build(cls, request: CostTermRequest) -> HumanOccupancyCost:
+        if request.occupancy is None:
+            raise PlanningError("human cost: wanted an occupancy, got none")
+        return cls(request.chain, request.points, request.occupancy, request.settings.human_weight)
+
     def for_kernel(self) -> tuple[Any, ...]:
         """Return what the compiled loop of `arm_loop` wants of this term."""
         arm = self._arm
@@ -134,14 +173,12 @@ class HumanOccupancyCost(CostTerm):
             arm.root, arm.joints, arm.points, self._cells_per_m, self._lattice, *self._shape, self._factor, weight,
         )  # fmt: skip
 
-    def costs(self, q: ArrayLike) -> Float32Array:
-        return self.evaluate(as_batch(q, self._n_joints))[0]
-
     def evaluate(self, q: Float32Array) -> tuple[Float32Array, BoolArray | None]:
+        """Return the costs (R, N), in body points; see `CostTerm.evaluate`."""
         arm, (nx, ny, nz) = self._arm, self._shape
         out = np.empty(q.shape[0] * q.shape[1], dtype=np.float32)
         cost_kernels.occupancy_sums(
-            q.reshape(-1, self._n_joints), arm.root, arm.joints, arm.points, self._cells_per_m, self._lattice,
+            q.reshape(out.size, -1), arm.root, arm.joints, arm.points, self._cells_per_m, self._lattice,
             nx, ny, nz, out,
         )  # fmt: skip
         out *= self._factor
@@ -149,15 +186,13 @@ class HumanOccupancyCost(CostTerm):
 
 
 class ObstacleCost(CostTerm):
-    """Potential of every sphere's distance to obstacles, times the sphere's speed (P1 after CHOMP; facts 4).
+    """Potential of every sphere's distance to obstacles, times the sphere's speed (docs/papers.md, 1.9).
 
-    With d the distance from a sphere's surface: 0 beyond the clearance c, (d - c)² / 2c within it,
-    c/2 - d inside an obstacle. The speed is in m/s of a trajectory that takes `duration_s`, so the sum over
-    waypoints does not depend on how many there are. Distances are interpolated, exactly as
-    `SignedDistanceField.distance` does; the field must be one (neighbouring nodes differ by no more than
-    their distance), because links far from everything are skipped on the strength of it.
+    The speed is in m/s of a trajectory that takes `duration_s`, so the sum over waypoints does not depend on how many
+    there are. Distances are interpolated, exactly as `SignedDistanceField.distance` does; the field must be one
+    (neighbouring nodes differ by no more than their distance), because links far from everything are skipped.
 
-    A configuration is valid while every d >= `margin_m`.
+    A configuration is valid while the distance of every sphere is at least `margin_m`.
     """
 
     def __init__(
@@ -170,7 +205,7 @@ class ObstacleCost(CostTerm):
         margin_m: float = 0.0,
         duration_s: float = 5.0,
     ) -> None:
-        super().__init__("obstacle", weight)
+        super().__init__("obstacle", weight, chain.n_joints)
         if not 0.0 <= margin_m < clearance_m or not duration_s > 0.0:
             raise PlanningError(
                 f"obstacle cost: wanted 0 <= margin < clearance and a duration > 0, "
@@ -178,10 +213,14 @@ class ObstacleCost(CostTerm):
             )
         self.spheres, self.field = spheres, field
         self.clearance_m, self.margin_m, self.duration_s = clearance_m, margin_m, duration_s
-        self._n_joints = chain.n_joints
         self._shape = field.values.shape
         self._lattice = field.values.ravel()
         self._arm = flatten(chain, spheres.link, spheres.centre_m, spheres.radius_m, field.origin_m, field.resolution_m)
+
+    @classmethod
+    def build(cls, request: CostTermRequest) -> ObstacleCost:
+        weight, padding_m = request.settings.obstacle_weight, request.padding_m
+        return cls(request.chain, request.spheres, request.field, weight, margin_m=padding_m)
 
     def for_kernel(self, n_waypoints: int) -> tuple[Any, ...]:
         """Return what the compiled loop of `arm_loop` wants of this term for trajectories of `n_waypoints`."""
@@ -192,60 +231,50 @@ class ObstacleCost(CostTerm):
             float32(self.margin_m), float32(self.weight),
         )  # fmt: skip
 
-    def costs(self, q: ArrayLike) -> Float32Array:
-        return self.costs_and_distances(q)[0]
-
-    def valid(self, q: ArrayLike) -> BoolArray:
-        return self._allowed(self.costs_and_distances(q)[1])
+    def evaluate(self, q: Float32Array) -> tuple[Float32Array, BoolArray | None]:
+        """Return the costs (R, N), m²/s, and whether the margin is kept; see `CostTerm.evaluate`."""
+        costs, nearest = self._run(q)
+        return costs, np.asarray(nearest >= np.float32(self.margin_m))
 
     def costs_and_distances(self, q: ArrayLike) -> tuple[Float32Array, Float32Array]:
         """Return costs (R, N) and the smallest distance of any sphere, cut off at the clearance (R, N), m."""
         return self._run(as_batch(q, self._n_joints))
-
-    def evaluate(self, q: Float32Array) -> tuple[Float32Array, BoolArray | None]:
-        costs, nearest = self._run(q)
-        return costs, self._allowed(nearest)
-
-    def _allowed(self, nearest: Float32Array) -> BoolArray:
-        allowed: BoolArray = nearest >= np.float32(self.margin_m)
-        return allowed
 
     def _run(self, q: Float32Array) -> tuple[Float32Array, Float32Array]:
         n_rollouts, n = q.shape[:2]
         arm, (nx, ny, nz) = self._arm, self._shape
         out, nearest = np.empty((2, n_rollouts * n), dtype=np.float32)
         cost_kernels.obstacle_sums(
-            q.reshape(-1, self._n_joints), n, arm.root, arm.joints, arm.points,
+            q.reshape(out.size, -1), n, arm.root, arm.joints, arm.points,
             np.float32(self.field.resolution_m), np.float32((n - 1) / self.duration_s),
             np.float32(self.clearance_m), self._lattice, nx, ny, nz, out, nearest,
         )  # fmt: skip
         return out.reshape(n_rollouts, n), nearest.reshape(n_rollouts, n)
 
 
-class JointLimitCost(JointCostTerm):
-    """Squared depth into a margin before each joint limit, rad², so that plans do not lean on the stops."""
+class JointLimitCost(CostTerm):
+    """Squared depth into a margin before each joint limit, rad²; beyond a limit nothing is allowed."""
 
     def __init__(self, lower: ArrayLike, upper: ArrayLike, weight: float = 1.0, margin_rad: float = 0.1) -> None:
-        super().__init__("joint_limits", weight)
         self._lower = checked("lower limits", lower, ("D",), finite=False).astype(np.float32)
         self._upper = checked("upper limits", upper, (len(self._lower),), finite=False).astype(np.float32)
+        super().__init__("joint_limits", weight, len(self._lower))
         if not (self._lower < self._upper).all() or not margin_rad >= 0.0:
             raise PlanningError(
                 f"joint limit cost: wanted lower < upper and a margin >= 0, got {lower!r}, {upper!r}, {margin_rad}"
             )
         self._margin = np.float32(margin_rad)
 
-    def joint_costs(self, q: ArrayLike) -> Float32Array:
-        batch = as_batch(q, len(self._lower))
-        below = np.maximum(self._lower + self._margin - batch, np.float32(0.0))
-        above = np.maximum(batch - (self._upper - self._margin), np.float32(0.0))
-        costs: Float32Array = below * below + above * above
-        return costs
+    @classmethod
+    def build(cls, request: CostTermRequest) -> JointLimitCost:
+        return cls(request.chain.lower, request.chain.upper)
 
-    def valid(self, q: ArrayLike) -> BoolArray:
-        batch = as_batch(q, len(self._lower))
-        outside = (batch < self._lower) | (batch > self._upper)
-        return ~np.asarray(outside.any(axis=2))
+    def evaluate(self, q: Float32Array) -> tuple[Float32Array, BoolArray | None]:
+        """Return the costs (R, N, D) and whether every joint is within its limits; see `CostTerm.evaluate`."""
+        below = np.maximum(self._lower + self._margin - q, np.float32(0.0))
+        above = np.maximum(q - (self._upper - self._margin), np.float32(0.0))
+        outside = (q < self._lower) | (q > self._upper)
+        return below * below + above * above, ~np.asarray(outside.any(axis=2))
 
 
 def as_batch(q: ArrayLike, n_joints: int | None = None) -> Float32Array:
@@ -263,6 +292,29 @@ def as_batch(q: ArrayLike, n_joints: int | None = None) -> Float32Array:
     return batch
 
 
+def evaluated(term: CostTerm, batch: Float32Array) -> tuple[Float32Array, BoolArray | None]:
+    """Return what a term says of a batch (R, N, D), checked, because terms come from other packages too.
+
+    Raises:
+        PlanningError: for costs or validity of another shape, or costs that are not finite.
+    """
+    costs, allowed = term.evaluate(batch)
+    if costs.shape not in (batch.shape[:2], batch.shape) or (allowed is not None and allowed.shape != batch.shape[:2]):
+        raise PlanningError(
+            f"cost term {term.name}: wanted costs {batch.shape[:2]} or {batch.shape} and validity {batch.shape[:2]} or "
+            f"None, got {costs.shape} and {None if allowed is None else allowed.shape}"
+        )
+    if not np.isfinite(costs).all():
+        raise PlanningError(f"cost term {term.name}: wanted finite costs, got NaN or infinity")
+    return costs, allowed
+
+
+def _summed(costs: Float32Array) -> Float32Array:
+    """Return costs (R, N), summed over joints where they are (R, N, D)."""
+    total: Float32Array = costs.sum(axis=2) if costs.ndim == 3 else costs
+    return total
+
+
 def _cropped(probability: Float32Array) -> tuple[Float32Array, tuple[int, int, int]]:
     """Return the box of occupied voxels with a border of zeros, and its lowest voxel."""
     low, high = [], []
@@ -273,15 +325,3 @@ def _cropped(probability: Float32Array) -> tuple[Float32Array, tuple[int, int, i
         high.append(int(used[-1]) + 1 if len(used) else 1)
     box = probability[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
     return np.pad(box, 1), (low[0], low[1], low[2])
-
-
-__all__ = [
-    "POINTS_OF_P1",
-    "CostTerm",
-    "HumanOccupancyCost",
-    "JointCostTerm",
-    "JointLimitCost",
-    "ObstacleCost",
-    "SmoothnessCost",
-    "as_batch",
-]

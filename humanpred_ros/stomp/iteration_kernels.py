@@ -1,4 +1,4 @@
-"""The compiled steps of one STOMP iteration around the cost evaluation: rollouts, update, joint limits.
+"""One STOMP iteration but for the evaluation of costs, compiled: `begin_update` before it, `finish_update` after it.
 
 Lanes (columns of a right-hand side, or waypoint and joint pairs) are contiguous in memory and innermost, so
 that every loop over lanes packs into vector instructions. The trajectory itself stays float64; rollouts are
@@ -6,8 +6,6 @@ float32.
 
 R = L Lᵀ is banded: `factor[k, i] = L[i + k, i]` holds four bands below the diagonal and reaches past the end
 as zeros. What needs R⁻¹ is an O(n) sweep, never a dense inverse.
-
-All of them are in one file, because numba's cache does not notice a change in another one.
 """
 
 from __future__ import annotations
@@ -24,6 +22,11 @@ from humanpred_ros.geometry.compiled import fast
 #: 4.2 standard deviations, and their variance is 1 to within 1e-4.
 QUANTILES = ndtri((np.arange(65536) + 0.5) / 65536.0).astype(np.float32)
 
+#: Entries of the counters of a plan in progress: updates done, random bits used, rollouts reused, whether the best
+#: trajectory is forbidden, and updates since it last became noticeably cheaper.
+DONE, USED, REUSED, FORBIDDEN, STALE, N_COUNTERS = 0, 1, 2, 3, 4, 5
+#: Entries of the totals: of the best trajectory, and what it must fall below to count as noticeably cheaper.
+BEST, REFERENCE, N_TOTALS = 0, 1, 2
 #: Violations below this are rounding, rad.
 _LIMIT_TOLERANCE = 1e-6
 _LIMIT_ITERATIONS = 10
@@ -77,20 +80,13 @@ def solve_unit(factor: NDArray[Any], j: int, x: NDArray[Any]) -> None:
 
 
 def random_bits(rng: np.random.Generator, draws: int) -> NDArray[np.uint16]:
-    """Return 16 random bits for each of `draws` normal draws, as `white_noise` wants them."""
+    """Return 16 random bits for each of `draws` normal draws, each an index into `QUANTILES`.
+
+    About ten times faster than a generator's own normal draws. The noise is smoothed over a hundred waypoints before
+    anything sees it, so 65536 levels are plenty.
+    """
     words = rng.integers(0, 2**64 - 1, size=(draws + 3) // 4, dtype=np.uint64, endpoint=True)
     return words.view(np.uint16)
-
-
-def white_noise(bits: NDArray[np.uint16], rows: int, lanes: int) -> NDArray[np.float32]:
-    """Turn the first rows x lanes of `bits` into standard normal draws (rows, lanes).
-
-    About ten times faster than a generator's own normal draws. The noise is smoothed over a hundred
-    waypoints before anything sees it, so 65536 levels are plenty.
-    """
-    out = np.empty((rows, lanes), dtype=np.float32)
-    _look_up(bits, QUANTILES, out.reshape(-1))
-    return out
 
 
 @fast
@@ -99,22 +95,8 @@ def _look_up(bits: NDArray[Any], table: NDArray[Any], out: NDArray[Any]) -> None
         out[i] = table[bits[i]]
 
 
-def sample(
-    theta: NDArray[np.float64],
-    bits: NDArray[np.uint16],
-    std: NDArray[np.float32],
-    lower: NDArray[np.float64],
-    upper: NDArray[np.float64],
-    factor: NDArray[np.float64],
-    factor32: NDArray[np.float32],
-    out: NDArray[np.float32],
-) -> None:
-    """Write K noisy copies of theta (N, D) within the limits, then theta itself; out (K+1, N, D), from `bits`."""
-    sample_compiled(theta, bits, QUANTILES, std, lower, upper, factor, factor32, out)
-
-
 @fast
-def sample_compiled(
+def sample(
     theta: NDArray[Any],
     bits: NDArray[Any],
     table: NDArray[Any],
@@ -125,7 +107,10 @@ def sample_compiled(
     factor32: NDArray[Any],
     out: NDArray[Any],
 ) -> None:
-    """Do what `sample` does, with the table of normal quantiles (65536,) handed in."""
+    """Write K noisy copies of theta (N, D) within the limits, then theta itself; out (K+1, N, D).
+
+    The noise is `table`, the `QUANTILES`, at the first of `bits`.
+    """
     n, n_joints = theta.shape
     noise = np.empty((n - 2, (len(out) - 1) * n_joints), dtype=np.float32)
     _look_up(bits, table, noise.reshape(-1))
@@ -138,7 +123,7 @@ def keep_within_limits(x: NDArray[Any], lower: NDArray[Any], upper: NDArray[Any]
     """Push the free waypoints of x (N, D) inside the limits, in place; return how many joints were clipped.
 
     The worst waypoint of a joint is moved onto its limit together with its neighbours, along the column of
-    R⁻¹ that belongs to it, which keeps the trajectory smooth (facts section 4). What is still outside after
+    R⁻¹ that belongs to it, which keeps the trajectory smooth (docs/papers.md, P1 STOMP). What is still outside after
     ten such pushes is clipped.
     """
     n, n_joints = x.shape
@@ -300,19 +285,104 @@ def keep_best(
 
 
 @fast
-def update(
+def converged(counters: NDArray[Any], patience: int) -> bool:
+    """Return whether a plan that is allowed has not become noticeably cheaper for `patience` updates."""
+    return patience > 0 and counters[STALE] >= patience and counters[FORBIDDEN] == 0
+
+
+@fast
+def begin_update(
     theta: NDArray[Any],
+    counters: NDArray[Any],
+    bits: NDArray[Any],
+    noise: Any,
+    smooth: Any,
+    lower: NDArray[Any],
+    upper: NDArray[Any],
+    rollouts: NDArray[Any],
+) -> int:
+    """Write the next update's new rollouts behind the reused ones, and theta last (P1, 1.6).
+
+    Args:
+        theta: (N, D) the trajectory.
+        counters: of the plan; see `DONE`.
+        bits: of the whole plan.
+        noise: `QUANTILES`, standard deviations (D,), decay.
+        smooth: factor, the same in float32, column scale; see `Smoothness`.
+        lower, upper: (D,) limits.
+        rollouts: (R + 1, N, D), the reused ones first.
+
+    Returns:
+        Number of the first new rollout.
+    """
+    table, std, decay = noise
+    factor, factor32, _ = smooth
+    first, used = counters[REUSED], counters[USED]
+    scaled = std * np.float32(decay ** counters[DONE])
+    sample(theta, bits[used:], table, scaled, lower, upper, factor, factor32, rollouts[first:])
+    counters[USED] = used + (theta.shape[0] - 2) * theta.shape[1] * (len(rollouts) - 1 - first)
+    return int(first)
+
+
+@fast
+def finish_update(
+    theta: NDArray[Any],
+    best: NDArray[Any],
+    allowed: bool,
+    counters: NDArray[Any],
+    totals: NDArray[Any],
     rollouts: NDArray[Any],
     state: NDArray[Any],
     joint: NDArray[Any],
-    sharpness: float,
-    factor: NDArray[Any],
-    column_scale: NDArray[Any],
+    settings: Any,
+    smooth: Any,
     lower: NDArray[Any],
     upper: NDArray[Any],
-    n_best: int,
 ) -> None:
-    """`improve` theta with all rollouts, then bring those that will be reused to the front."""
-    improve(theta, rollouts, state, joint, sharpness, factor, column_scale, lower, upper)
-    if n_best > 0:
-        keep_best(rollouts, state, joint, n_best, np.empty(n_best, dtype=np.int64))
+    """Keep theta if it is the best so far, improve it, and bring the rollouts to be reused to the front (P1, 1.7, 1.8).
+
+    Args:
+        theta, best: (N, D) the trajectory that all rollouts but the reused ones were drawn around, and the best one.
+        allowed: whether theta is allowed.
+        counters, totals: of the plan; see `DONE` and `BEST`.
+        rollouts, state, joint: (R + 1, N, D), (R + 1, N) and (R + 1, N, D): rollouts and costs, theta's last.
+        settings: sharpness, rollouts to reuse, tolerance.
+        smooth, lower, upper: as in `begin_update`.
+    """
+    sharpness, n_reused, tolerance = settings
+    factor, _, column_scale = smooth
+    n_rollouts, (n, n_joints) = len(rollouts) - 1, theta.shape
+    total = 0.0
+    for t in range(n):
+        total += state[n_rollouts, t]
+        for d in range(n_joints):
+            total += joint[n_rollouts, t, d]
+    _keep(theta, best, allowed, total, tolerance, counters, totals)
+    new, new_state, new_joint = rollouts[:n_rollouts], state[:n_rollouts], joint[:n_rollouts]
+    improve(theta, new, new_state, new_joint, sharpness, factor, column_scale, lower, upper)
+    if n_reused > 0:
+        keep_best(new, new_state, new_joint, n_reused, np.empty(n_reused, dtype=np.int64))
+    counters[REUSED] = n_reused
+    counters[DONE] += 1
+
+
+@fast
+def _keep(
+    theta: NDArray[Any],
+    best: NDArray[Any],
+    allowed: bool,
+    total: float,
+    tolerance: float,
+    counters: NDArray[Any],
+    totals: NDArray[Any],
+) -> None:
+    """Keep theta if it ranks before the best so far: allowed before forbidden, then by cost."""
+    forbidden = 0 if allowed else 1
+    counters[STALE] += 1
+    if forbidden < counters[FORBIDDEN] or (forbidden == counters[FORBIDDEN] and total < totals[BEST]):
+        if forbidden < counters[FORBIDDEN] or total < totals[REFERENCE]:
+            counters[STALE] = 0
+            totals[REFERENCE] = (1.0 - tolerance) * total
+        best[:] = theta
+        counters[FORBIDDEN] = forbidden
+        totals[BEST] = total

@@ -1,86 +1,39 @@
-"""STOMP: stochastic trajectory optimisation for any number of joints and any cost terms (P1 IV-B, facts 4).
+"""STOMP: stochastic trajectory optimisation for any number of joints and any cost terms (docs/papers.md, P1 STOMP).
 
 One iteration samples smooth noise around the trajectory, costs every noisy rollout, averages the noise at
 each waypoint with probabilities that favour cheap rollouts, and smooths the average into the trajectory.
 Everything heavy runs compiled and without Python's lock, so that goals planned in threads run side by side.
 
-A plan may be made in portions (`StompRun`): whoever plans to several goals before a deadline gives each its turn.
+A plan may be made in portions (`StompRun`), so that several plans can share the time before a deadline
+(`advance_all`).
 """
 
 from __future__ import annotations
 
+import heapq
+import threading
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
-from humanpred_ros.stomp import arm_loop, iteration_kernels
-from humanpred_ros.stomp.costs import CostTerm, JointCostTerm
+from humanpred_ros.stomp import iteration_kernels as kernels
+from humanpred_ros.stomp.arm_loop import arm_terms, iterate
+from humanpred_ros.stomp.config import StompConfig
+from humanpred_ros.stomp.costs import CostTerm, Float32Array, evaluated
 from humanpred_ros.stomp.smoothness import smoothness
 
-Float32Array = NDArray[np.float32]
 #: Limits may be exceeded by rounding only, rad.
 _LIMIT_TOLERANCE = 1e-6
 #: A deadline is looked at after about this much work, s.
 _PORTION_S = 0.001
-
-
-@dataclass(frozen=True)
-class StompConfig:
-    """Everything STOMP can be told; defaults are P1's (facts section 4), but for the obstacle weight.
-
-    Attributes:
-        n_waypoints: N, with start and goal.
-        n_iterations: updates.
-        n_rollouts: rollouts an update averages over.
-        n_reused: of these, the cheapest ones of the update before; the others are new.
-        noise_std: standard deviation of the noise in units of R⁻¹, for all joints or one each. 0.002 is
-            0.14 rad at the middle of 100 waypoints.
-        noise_decay: factor on the noise per iteration.
-        sharpness: h of exp(-h (S - min) / (max - min)).
-        patience: a plan that is allowed and has not become better by `tolerance` in so many updates is done;
-            0 does all of them, as P1 does.
-        tolerance: share of the cost that counts as better.
-        obstacle_weight, human_weight, smoothness_weight: of the terms a planner is usually given. P1's
-            obstacle weight of 0.1 goes with its number of spheres and its unit of speed, which are not known;
-            with ours it would let the arm pass through the table rather than bend. 100 frees 28 of 30 straight
-            lines of the side-by-side scene within 50 iterations.
-    """
-
-    n_waypoints: int = 100
-    n_iterations: int = 50
-    n_rollouts: int = 10
-    n_reused: int = 5
-    noise_std: float | tuple[float, ...] = 0.002
-    noise_decay: float = 1.0
-    sharpness: float = 10.0
-    patience: int = 0
-    tolerance: float = 0.01
-    obstacle_weight: float = 100.0
-    human_weight: float = 1.0
-    smoothness_weight: float = 10000.0
-
-    def __post_init__(self) -> None:
-        if self.n_waypoints < 5 or self.n_iterations < 0 or not 0 <= self.n_reused < self.n_rollouts:
-            raise PlanningError(
-                "STOMP: wanted n_waypoints >= 5, n_iterations >= 0 and 0 <= n_reused < n_rollouts, "
-                f"got {self.n_waypoints}, {self.n_iterations}, {self.n_reused} and {self.n_rollouts}"
-            )
-        if not (np.asarray(self.noise_std) > 0.0).all() or not 0.0 < self.noise_decay <= 1.0:
-            raise PlanningError(
-                f"STOMP: wanted noise_std > 0 and noise_decay in (0, 1], got {self.noise_std} and {self.noise_decay}"
-            )
-        if self.patience < 0 or not 0.0 <= self.tolerance < 1.0:
-            raise PlanningError(
-                f"STOMP: wanted patience >= 0 and tolerance in [0, 1), got {self.patience} and {self.tolerance}"
-            )
-        # The compiled exponential holds for arguments down to -100.
-        if not 0.0 < self.sharpness <= 100.0:
-            raise PlanningError(f"STOMP: wanted a sharpness in (0, 100], got {self.sharpness}")
+#: Updates of a turn of `advance_all`: some two milliseconds of P1's problem.
+TURN = 5
 
 
 @dataclass(frozen=True)
@@ -105,7 +58,12 @@ class Plan:
 
 
 class StompPlanner:
-    """Plans trajectories for one set of cost terms; holds no state between plans, so threads may share it."""
+    """Plans trajectories for one set of cost terms; holds no state between plans, so threads may share it.
+
+    Attributes:
+        terms, lower, upper, config: as given; limits (D,).
+        compiled: whether whole iterations run compiled: for an obstacle, a human and a smoothness term, in this order.
+    """
 
     def __init__(
         self, terms: Sequence[CostTerm], lower: ArrayLike, upper: ArrayLike, config: StompConfig | None = None
@@ -127,13 +85,15 @@ class StompPlanner:
         if self.upper.shape != (n,) or n == 0 or not (self.lower < self.upper).all():
             raise PlanningError(f"STOMP: wanted limits lower < upper of one length, got {lower!r} and {upper!r}")
         self.noise_std = self.checked_noise(self.config.noise_std)
-        smooth = smoothness(self.config.n_waypoints)
-        self.smoothness = smooth
-        self.compiled_smoothness = (smooth.factor, smooth.factor.astype(np.float32), smooth.column_scale)
-        self.compiled_terms = arm_loop.arm_terms(self.terms, self.config.n_waypoints)
+        self.smoothness = smoothness(self.config.waypoints)
+        self._arm_terms = arm_terms(self.terms, self.config.waypoints)
+
+    @property
+    def compiled(self) -> bool:
+        return self._arm_terms is not None
 
     def checked_noise(self, noise_std: ArrayLike) -> Float32Array:
-        """Return standard deviations (D,) of the noise, in units of R⁻¹.
+        """Return standard deviations (D,) of the noise, in units of R^-1/2.
 
         Raises:
             PlanningError: for a number of them that is neither one nor D, or one that is not positive.
@@ -166,7 +126,7 @@ class StompPlanner:
             PlanningError: if `initial` has the wrong shape or is not finite.
         """
         run = self.begin(initial, rng, noise_std)
-        run.advance(self.config.n_iterations, deadline)
+        run.advance(self.config.iterations, deadline)
         return run.result()
 
     def begin(self, initial: ArrayLike, rng: np.random.Generator, noise_std: ArrayLike | None = None) -> StompRun:
@@ -180,8 +140,9 @@ class StompPlanner:
         cost: dict[str, float] = {}
         reason = self._outside_limits(path)
         for term in self.terms:
-            values, allowed = term.evaluate(batch)
-            cost[term.name] = term.weight * float(values.sum(dtype=np.float64))
+            values, allowed = evaluated(term, batch)
+            per_waypoint = values.sum(axis=2) if values.ndim == 3 else values
+            cost[term.name] = term.weight * float(per_waypoint.sum(dtype=np.float64))
             if allowed is not None and not reason and not allowed.all():
                 reason = f"{term.name}: waypoint {int(np.argmin(allowed[0]))} of {len(path)} is not allowed"
         waypoints = frozen(path)
@@ -205,27 +166,30 @@ class StompRun:
     def __init__(
         self, planner: StompPlanner, initial: ArrayLike, rng: np.random.Generator, noise_std: Float32Array
     ) -> None:
-        cfg, n_joints = planner.config, len(planner.lower)
-        self._planner, self._std = planner, noise_std
-        self._theta = np.array(checked("initial trajectory", initial, (cfg.n_waypoints, n_joints), error=PlanningError))
-        iteration_kernels.keep_within_limits(self._theta, planner.lower, planner.upper, planner.smoothness.factor)
+        cfg, smooth, n_joints = planner.config, planner.smoothness, len(planner.lower)
+        self._planner = planner
+        self._theta = np.array(checked("initial trajectory", initial, (cfg.waypoints, n_joints), error=PlanningError))
+        kernels.keep_within_limits(self._theta, planner.lower, planner.upper, smooth.factor)
         self._best = self._theta.copy()
-        shape = (cfg.n_rollouts + 1, cfg.n_waypoints, n_joints)
+        shape = (cfg.rollouts + 1, cfg.waypoints, n_joints)
         self._rollouts, self._joint = np.empty(shape, np.float32), np.empty(shape, np.float32)
         self._state = np.empty(shape[:2], np.float32)
         # All the randomness of a plan is drawn at once: many small draws cost more than the noise itself.
-        new = cfg.n_rollouts - cfg.n_reused
-        lanes = planner.smoothness.n_free * n_joints
-        self._bits = iteration_kernels.random_bits(rng, lanes * (cfg.n_reused + new * cfg.n_iterations))
-        self._counters = np.zeros(arm_loop.N_COUNTERS, dtype=np.int64)
-        self._counters[arm_loop.FORBIDDEN] = 1
-        self._totals = np.full(arm_loop.N_TOTALS, np.inf)
+        new = cfg.rollouts - cfg.reused
+        lanes = smooth.n_free * n_joints
+        self._bits = kernels.random_bits(rng, lanes * (cfg.reused + new * cfg.iterations))
+        self._counters = np.zeros(kernels.N_COUNTERS, dtype=np.int64)
+        self._counters[kernels.FORBIDDEN] = 1
+        self._totals = np.full(kernels.N_TOTALS, np.inf)
+        self._noise = (kernels.QUANTILES, noise_std, cfg.noise_decay)
+        self._smooth = (smooth.factor, smooth.factor.astype(np.float32), smooth.column_scale)
+        self._settings = (cfg.sharpness, cfg.reused, cfg.tolerance)
         self._portion = 1
 
     @property
     def iterations(self) -> int:
         """Updates done."""
-        return int(self._counters[arm_loop.DONE])
+        return int(self._counters[kernels.DONE])
 
     @property
     def rollouts(self) -> Float32Array:
@@ -235,19 +199,17 @@ class StompRun:
     @property
     def limit(self) -> int:
         """Updates it will have had at most."""
-        return self._planner.config.n_iterations
+        return self._planner.config.iterations
 
     @property
     def finished(self) -> bool:
         """Whether all updates are done, or the plan has converged."""
-        cfg, counters = self._planner.config, self._counters
-        converged = cfg.patience > 0 and counters[arm_loop.STALE] >= cfg.patience and not counters[arm_loop.FORBIDDEN]
-        return bool(self.iterations >= cfg.n_iterations or converged)
+        return self.iterations >= self.limit or bool(kernels.converged(self._counters, self._planner.config.patience))
 
     def advance(self, iterations: int, deadline: Callable[[], bool] | None = None) -> None:
         """Do up to `iterations` more updates, fewer if the plan is finished or the deadline says True."""
-        until = min(self.iterations + iterations, self._planner.config.n_iterations)
-        step = self._compiled if self._planner.compiled_terms is not None else self._term_by_term
+        until = min(self.iterations + iterations, self.limit)
+        step = self._compiled if self._planner.compiled else self._term_by_term
         while not self.finished and self.iterations < until and not (deadline is not None and deadline()):
             began, before = time.perf_counter(), self.iterations
             step(until - self.iterations if deadline is None else min(self._portion, until - self.iterations))
@@ -260,52 +222,77 @@ class StompRun:
         return min(best, last, key=lambda plan: (not plan.valid, plan.total))
 
     def _compiled(self, count: int) -> None:
-        planner, cfg = self._planner, self._planner.config
-        arm_loop.iterate(
+        """Do up to `count` updates in one compiled call."""
+        planner = self._planner
+        iterate(
             count, self._theta, self._best, self._counters, self._totals,
-            self._rollouts, self._state, self._joint, self._bits,
-            (iteration_kernels.QUANTILES, self._std, cfg.noise_decay), planner.compiled_smoothness,
-            planner.lower, planner.upper, (cfg.sharpness, cfg.n_reused, cfg.patience, cfg.tolerance),
-            planner.compiled_terms,
+            self._rollouts, self._state, self._joint, self._bits, self._noise, self._smooth,
+            planner.lower, planner.upper, self._settings, planner.config.patience, planner._arm_terms,
         )  # fmt: skip
 
     def _term_by_term(self, count: int) -> None:
-        """Do what `arm_loop.iterate` does, for terms of any kind."""
-        planner, cfg, counters = self._planner, self._planner.config, self._counters
-        factor, factor32, column_scale = planner.compiled_smoothness
+        """Do the same with terms of any kind."""
+        lower, upper = self._planner.lower, self._planner.upper
         for _ in range(count):
             if self.finished:
                 return
-            first, k = int(counters[arm_loop.REUSED]), cfg.n_rollouts
-            std = self._std * np.float32(cfg.noise_decay**self.iterations)
-            iteration_kernels.sample(
-                self._theta, self._bits[counters[arm_loop.USED] :], std, planner.lower, planner.upper,
-                factor, factor32, self._rollouts[first:],
+            first = kernels.begin_update(
+                self._theta, self._counters, self._bits, self._noise, self._smooth, lower, upper, self._rollouts
+            )
+            allowed = self._evaluate(self._rollouts[first:], self._state[first:], self._joint[first:])
+            kernels.finish_update(
+                self._theta, self._best, allowed, self._counters, self._totals,
+                self._rollouts, self._state, self._joint, self._settings, self._smooth, lower, upper,
             )  # fmt: skip
-            counters[arm_loop.USED] += planner.smoothness.n_free * len(planner.lower) * (k - first)
-            allowed = self._evaluate(first)
-            total = float(self._state[-1].sum(dtype=np.float64) + self._joint[-1].sum(dtype=np.float64))
-            arm_loop.keep(self._theta, self._best, allowed, total, cfg.tolerance, counters, self._totals)
-            iteration_kernels.update(
-                self._theta, self._rollouts[:k], self._state[:k], self._joint[:k], cfg.sharpness, factor, column_scale,
-                planner.lower, planner.upper, cfg.n_reused,
-            )  # fmt: skip
-            counters[arm_loop.REUSED] = cfg.n_reused
-            counters[arm_loop.DONE] += 1
 
-    def _evaluate(self, first: int) -> bool:
-        """Cost the rollouts from `first` on; return whether the noiseless one, the last, is allowed."""
-        batch, state, joint = self._rollouts[first:], self._state[first:], self._joint[first:]
+    def _evaluate(self, batch: Float32Array, state: Float32Array, joint: Float32Array) -> bool:
+        """Write the costs of rollouts (K, N, D); return whether the noiseless one, the last, is allowed."""
         state[:] = 0.0
         joint[:] = 0.0
         allowed_by_all = True
         for term in self._planner.terms:
-            weight = np.float32(term.weight)
-            if isinstance(term, JointCostTerm):
-                values, allowed = term.evaluate_joints(batch)
-                joint += weight * values
+            values, allowed = evaluated(term, batch)
+            weighted = np.float32(term.weight) * values
+            if values.ndim == 3:
+                joint += weighted
             else:
-                values, allowed = term.evaluate(batch)
-                state += weight * values
+                state += weighted
             allowed_by_all = allowed_by_all and (allowed is None or bool(allowed[-1].all()))
         return allowed_by_all
+
+
+def advance_all(
+    runs: Sequence[StompRun],
+    iterations: int,
+    pool: ThreadPoolExecutor | None,
+    n_threads: int,
+    deadline: Callable[[], bool] | None = None,
+) -> None:
+    """Do up to `iterations` more updates of every plan, always the one that has had the fewest.
+
+    What comes out depends neither on threads nor on turns, unless the deadline cuts it short; then no plan has
+    had more than one turn more than another that could go on.
+    """
+    wanted = {k: min(run.iterations + iterations, run.limit) for k, run in enumerate(runs)}
+    waiting = [(run.iterations, k) for k, run in enumerate(runs)]
+    heapq.heapify(waiting)
+    lock = threading.Lock()
+
+    def work() -> None:
+        while True:
+            with lock:
+                if not waiting:
+                    return
+                done, k = heapq.heappop(waiting)
+            run = runs[k]
+            run.advance(min(TURN, wanted[k] - done) if deadline is not None else wanted[k] - done, deadline)
+            cut_short = deadline is not None and deadline()
+            if not run.finished and run.iterations < wanted[k] and not cut_short:
+                with lock:
+                    heapq.heappush(waiting, (run.iterations, k))
+
+    if pool is None or len(runs) < 2:
+        work()
+        return
+    for worker in [pool.submit(work) for _ in range(min(n_threads, len(runs)))]:
+        worker.result()

@@ -1,6 +1,6 @@
-"""Where STOMP's notion of a smooth change lives: the finite differences A, R = AᵀA and what follows from R.
+"""Smoothness of trajectories: the finite differences A, R = AᵀA, what follows from R, and the acceleration cost.
 
-Notation (P1 and its references): A q are accelerations, R = AᵀA, noise ~ N(0, R⁻¹), M = R⁻¹ with every
+Notation (docs/papers.md, P1 STOMP): A q are accelerations, noise is drawn from N(0, R⁻¹), M is R⁻¹ with every
 column scaled to a largest element of 1/n. R is banded, so N(0, R⁻¹) and M are applied by O(n) sweeps over
 its Cholesky factor; a dense R⁻¹ exists only in tests.
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +17,18 @@ from scipy.linalg import cholesky_banded
 
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.checks import FloatArray, frozen
+from humanpred_ros.geometry.compiled import fast
 from humanpred_ros.stomp import iteration_kernels
 
 Float32Array = NDArray[np.float32]
 
-#: 5-point rule of the second derivative, in units of one waypoint step (facts section 4).
+#: 5-point rule of the second derivative, in units of one waypoint step (docs/papers.md, P1 STOMP).
 ACCELERATION_RULE = (-1.0 / 12.0, 16.0 / 12.0, -30.0 / 12.0, 16.0 / 12.0, -1.0 / 12.0)
 #: Rows of A that lie outside the trajectory and still see a free waypoint, at each end.
 PADDING = 1
 BANDWIDTH = 4
+_A, _B, _C = (np.float32(c) for c in ACCELERATION_RULE[:3])
+_HALF = np.float32(0.5)
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,7 @@ class Smoothness:
         return white
 
     def smoothed(self, change: FloatArray) -> FloatArray:
-        """Return M u of a change (n_free, L), rad (P1's references: the update of STOMP)."""
+        """Return M u of a change (n_free, L), rad (1.8)."""
         out = np.ascontiguousarray(change * self.column_scale[:, None])
         iteration_kernels.solve(self.factor, out)
         return out
@@ -98,3 +102,40 @@ def smoothness(n_waypoints: int) -> Smoothness:
     iteration_kernels.solve(factor, inverse)
     scale = 1.0 / (n * np.abs(inverse).max(axis=0))
     return Smoothness(n_waypoints, frozen(factor), frozen(scale))  # type: ignore[arg-type]
+
+
+@fast
+def _half_squared_accelerations(flat: NDArray[Any], n_joints: int, out: NDArray[Any]) -> None:
+    """Write the costs of all waypoints but the two at each end, (waypoint, joint) pairs in one row."""
+    lanes = len(flat) - 4 * n_joints
+    p, q, r = flat[:lanes], flat[n_joints : n_joints + lanes], flat[2 * n_joints : 2 * n_joints + lanes]
+    s, t = flat[3 * n_joints : 3 * n_joints + lanes], flat[4 * n_joints :]
+    middle = out[2 * n_joints : 2 * n_joints + lanes]
+    for k in range(lanes):
+        value = _A * (p[k] + t[k]) + _B * (q[k] + s[k]) + _C * r[k]
+        middle[k] = _HALF * value * value
+
+
+@fast
+def acceleration_costs(q: NDArray[Any], out: NDArray[Any]) -> None:
+    """Write half the squared acceleration per joint; q, out (R, N, D), rad per squared step.
+
+    The accelerations just before the start and just after the goal, where copies of the ends continue the
+    trajectory, are counted at the ends.
+    """
+    n_rollouts, n, n_joints = q.shape
+    for r in range(n_rollouts):
+        _half_squared_accelerations(q[r].reshape(-1), n_joints, out[r].reshape(-1))
+        for t in (0, 1, n - 2, n - 1):
+            for d in range(n_joints):
+                value = (
+                    _A * (q[r, max(t - 2, 0), d] + q[r, min(t + 2, n - 1), d])
+                    + _B * (q[r, max(t - 1, 0), d] + q[r, min(t + 1, n - 1), d])
+                    + _C * q[r, t, d]
+                )
+                out[r, t, d] = _HALF * value * value
+        for d in range(n_joints):
+            before = _A * (q[r, 1, d] - q[r, 0, d])
+            after = _A * (q[r, n - 2, d] - q[r, n - 1, d])
+            out[r, 0, d] += _HALF * before * before
+            out[r, n - 1, d] += _HALF * after * after

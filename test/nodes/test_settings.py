@@ -37,5 +37,5 @@ def test_every_parameter_is_described_and_within_its_range(node: str) -> None:
 
 def test_the_planner_parameters_become_its_configuration() -> None:
     config = settings.StompPlannerSettings(period_s=0.1, seed=9, threads=1, waypoints=50, rollouts=6).replanner_config()
-    assert (config.period_s, config.seed, config.n_threads) == (0.1, 9, 1)
-    assert (config.stomp.n_waypoints, config.stomp.n_rollouts) == (50, 6)
+    assert (config.period_s, config.seed, config.threads) == (0.1, 9, 1)
+    assert (config.stomp.waypoints, config.stomp.rollouts) == (50, 6)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from planning_worlds import PLANE, field_around, free_space, planar_arm, somebody_at
@@ -18,7 +16,7 @@ from humanpred_ros.robot.goal import Goal
 ARM = planar_arm()
 HERE = np.array([0.2, 0.3, 0.3])
 KNOWN = np.array([[2.4, 0.0, 0.0]])
-CONFIG = ReplannerConfig(n_threads=1, human_margin_m=0.0)
+CONFIG = ReplannerConfig(threads=1, human_margin_m=0.0)
 
 
 def ways(occupancy: Occupancy, field: SignedDistanceField | None = None, count: int = 6) -> list[np.ndarray]:
@@ -38,7 +36,7 @@ def test_they_lead_out_of_the_persons_way_cheapest_first() -> None:
     found = ways(comes)
     assert len(found) == 6
     for path in found:
-        assert path.shape == (CONFIG.stomp.n_waypoints, 3)
+        assert path.shape == (CONFIG.stomp.waypoints, 3)
         np.testing.assert_array_equal(path[0], HERE)
         assert gap(comes, path[-1]) >= CONFIG.min_separation_m > gap(comes, HERE)
     # Near places come first: nobody needs to go to the other side.
@@ -68,7 +66,7 @@ def test_where_nowhere_is_better_there_is_no_way() -> None:
 def test_with_nobody_there_nothing_is_better(separation_m: float) -> None:
     nobody = Occupancy(PLANE, np.zeros(PLANE.shape, dtype=np.float32))
     tools = MultiGoalReplanner(
-        ARM, (Goal("far", KNOWN[0]),), free_space(), replace(CONFIG, min_separation_m=separation_m)
+        ARM, (Goal("far", KNOWN[0]),), free_space(), CONFIG.replaced(min_separation_m=separation_m)
     )._tools
     _, human = tools.planner(nobody)
     assert list(ways_aside(tools, tools.person(nobody), human, HERE, KNOWN, np.random.default_rng(0))) == []

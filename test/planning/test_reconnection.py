@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from planning_worlds import field_around, nobody, planar_arm, somebody_at
 
 from humanpred_ros.errors import PlanningError
@@ -28,11 +28,8 @@ class Never(CostTerm):
         super().__init__("never", 1.0)
         self.above = above
 
-    def costs(self, q: ArrayLike) -> NDArray[np.float32]:
-        return np.zeros(np.shape(q)[:2], dtype=np.float32)
-
-    def valid(self, q: ArrayLike) -> NDArray[np.bool_]:
-        return np.asarray(q)[..., 0] <= self.above
+    def evaluate(self, q: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        return np.zeros(q.shape[:2], dtype=np.float32), q[..., 0] <= self.above
 
 
 @settings(max_examples=40)

@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from planning_worlds import field_around, free_space, nobody, planar_arm, somebody_at
 
-from humanpred_ros.errors import GoalUnreachableError, PlanningError
+from humanpred_ros.errors import GoalUnreachableError, PlanningError, SettingsError
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.planning.decision import Decision
 from humanpred_ros.planning.replanner import MultiGoalReplanner
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.planning.timing.trajectory import LIMIT_TOLERANCE
 from humanpred_ros.robot.scene import Goal
-from humanpred_ros.stomp.planner import StompConfig
-from humanpred_ros.stomp.rounds import TURN
+from humanpred_ros.stomp.config import StompConfig
+from humanpred_ros.stomp.planner import TURN
 
 ARM = planar_arm()
 FREE = free_space()
 START = np.array([0.0, 0.3, 0.3])
 LEFT, RIGHT = np.array([1.2, 0.3, 0.3]), np.array([-1.2, 0.3, 0.3])
 GOALS = (Goal("left", LEFT), Goal("right", RIGHT))
-CONFIG = ReplannerConfig(
-    n_threads=1, human_margin_m=0.0, stomp=StompConfig(n_waypoints=40, n_iterations=15, noise_std=0.01)
-)
+CONFIG = ReplannerConfig(threads=1, human_margin_m=0.0, stomp=StompConfig(waypoints=40, iterations=15, noise_std=0.01))
 
 
 def replanner(config: ReplannerConfig = CONFIG, goals: tuple[Goal, ...] = GOALS, **parts: object) -> MultiGoalReplanner:
@@ -94,17 +90,17 @@ def test_planning_changes_nothing_until_committed() -> None:
 @pytest.mark.parametrize("selection", ["human_and_length", "total"])
 def test_threads_and_repetition_change_no_bit(selection: str) -> None:
     worlds = [lambda t: on_the_way_to("left", t, 0.3 + t)] * 6
-    config = replace(CONFIG, selection=selection)
-    runs = [steps(replanner(replace(config, n_threads=n)), worlds) for n in (1, 2, 3, 1)]
+    config = CONFIG.replaced(selection=selection)
+    runs = [steps(replanner(config.replaced(threads=n)), worlds) for n in (1, 2, 3, 1)]
     assert runs[0] == runs[1] == runs[2] == runs[3]
-    assert runs[0] != steps(replanner(replace(config, seed=1)), worlds)
+    assert runs[0] != steps(replanner(config.replaced(seed=1)), worlds)
 
 
 @settings(max_examples=12)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_robot_never_jumps_and_keeps_its_limits(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    subject = replanner(replace(CONFIG, min_improvement=0.0, seed=seed % 1000))
+    subject = replanner(CONFIG.replaced(min_improvement=0.0, seed=seed % 1000))
     for k in range(10):
         world = somebody_at(*rng.uniform(-0.8, 0.8, 2), t_s=0.1 * k, radius_m=rng.uniform(0.05, 0.3))
         before = [subject.state_at(0.1 * (k + 1))]
@@ -148,7 +144,7 @@ def test_it_arrives_and_stays() -> None:
 
 
 def test_a_path_that_is_hardly_better_is_not_taken() -> None:
-    decisions = steps(replanner(replace(CONFIG, min_improvement=0.5)), [nobody] * 5)
+    decisions = steps(replanner(CONFIG.replaced(min_improvement=0.5)), [nobody] * 5)
     assert [d.action for d in decisions] == ["replan"] + ["keep"] * 4
     assert all(d.trajectory is None for d in decisions[1:])
     assert all(d.report(d.chosen).warm_start == "executing" for d in decisions[1:])
@@ -163,7 +159,7 @@ def test_continuous_joints_go_the_shorter_way() -> None:
 
 
 def test_steps_are_due_once_a_period() -> None:
-    subject = replanner(replace(CONFIG, period_s=0.1))
+    subject = replanner(CONFIG.replaced(period_s=0.1))
     # The first period only watches (P1: 5 % of the motion).
     assert not subject.due(0.0)
     assert subject.due(0.1 - 1e-9)
@@ -254,9 +250,9 @@ def test_a_late_deadline_is_not_blamed_where_the_person_takes_every_goal() -> No
 
 def test_goals_share_the_time_there_is() -> None:
     goals = tuple(Goal(f"place {k}", START + np.array([0.2 * k - 0.7, 0.1, 0.0])) for k in range(8))
-    for n_threads in (1, 2):
+    for threads in (1, 2):
         asked = iter([False] * 30 + [True] * 1000)
-        long = replace(CONFIG, n_threads=n_threads, prune_after=0, stomp=replace(CONFIG.stomp, n_iterations=400))
+        long = CONFIG.replaced(threads=threads, prune_after=0, stomp=CONFIG.stomp.replaced(iterations=400))
         decision = replanner(long, goals=goals).plan(nobody(), deadline=lambda asked=asked: next(asked))
         done = [report.iterations for report in decision.goals]
         assert sum(done) > 0
@@ -264,7 +260,7 @@ def test_goals_share_the_time_there_is() -> None:
 
 
 def test_a_hopeless_goal_is_set_aside_with_a_reason_and_comes_back() -> None:
-    keen = replace(CONFIG, prune_after=3, prune_factor=1.5, prune_cost=0.0, min_separation_m=0.0, min_improvement=0.0)
+    keen = CONFIG.replaced(prune_after=3, prune_factor=1.5, prune_cost=0.0, min_separation_m=0.0, min_improvement=0.0)
     subject = replanner(keen)
     decisions = steps(subject, [lambda t: on_the_way_to("left", t, 0.9), nobody])
     left, right = (decisions[0].report(name) for name in ("left", "right"))
@@ -316,15 +312,15 @@ def test_tasks_need_not_be_equal() -> None:
 def test_it_does_not_dither_between_equal_goals() -> None:
     # Each step one of two places is a little worse than the other, by turns.
     worlds = [lambda t, k=k: on_the_way_to("left" if k % 2 else "right", t, 0.97) for k in range(8)]
-    soft = replace(CONFIG, min_separation_m=0.0, prune_after=0)
-    habitual = steps(replanner(replace(soft, switch_cost=10.0)), worlds)
+    soft = CONFIG.replaced(min_separation_m=0.0, prune_after=0)
+    habitual = steps(replanner(soft.replaced(switch_cost=10.0)), worlds)
     assert sum(d.switched for d in habitual) == 0
-    fickle = steps(replanner(replace(soft, switch_cost=0.0, switch_improvement=0.0)), worlds)
+    fickle = steps(replanner(soft.replaced(switch_cost=0.0, switch_improvement=0.0)), worlds)
     assert sum(d.switched for d in fickle) > 2
 
 
 def test_a_motion_that_has_become_bad_is_replanned_at_once() -> None:
-    subject = replanner(replace(CONFIG, min_improvement=0.5), goals=(Goal("left", LEFT),))
+    subject = replanner(CONFIG.replaced(min_improvement=0.5), goals=(Goal("left", LEFT),))
     assert [subject.respond(nobody(t)).action for t in (0.1, 0.2, 0.21)] == ["replan", "keep", "keep"]
     x, y, _ = ARM.chain.link_poses(LEFT)[-1, :3, 3]
     # No step is due before 0.3 s.
@@ -335,7 +331,7 @@ def test_a_motion_that_has_become_bad_is_replanned_at_once() -> None:
 
 
 def test_it_stops_before_it_comes_too_close() -> None:
-    subject = replanner(replace(CONFIG, period_s=0.3), goals=(Goal("left", LEFT),))
+    subject = replanner(CONFIG.replaced(period_s=0.3), goals=(Goal("left", LEFT),))
     subject.commit(subject.plan(nobody(0.0)))
     t = 0.6
     q = subject.state_at(t + 0.15)[0]
@@ -346,7 +342,7 @@ def test_it_stops_before_it_comes_too_close() -> None:
     assert decision.trajectory is not None
     assert decision.t_switch_s == t
     # A person who is only predicted to come there does not stop it at once.
-    again = replanner(replace(CONFIG, period_s=0.3), goals=(Goal("left", LEFT),))
+    again = replanner(CONFIG.replaced(period_s=0.3), goals=(Goal("left", LEFT),))
     again.commit(again.plan(nobody(0.0)))
     assert again.respond(somebody_at(x, y, t_s=t, radius_m=0.1, probability=0.9), now=lambda: t).action != "hold"
 
@@ -385,7 +381,7 @@ def test_selection_is_the_authors_by_default_and_the_total_if_asked() -> None:
     decision = replanner().plan(on_the_way_to("left"))
     for report in decision.goals:
         assert report.selection_cost == pytest.approx(report.human + 0.002 * report.length + 0.2 * report.rest)
-    total = replanner(replace(CONFIG, selection="total")).plan(on_the_way_to("left"))
+    total = replanner(CONFIG.replaced(selection="total")).plan(on_the_way_to("left"))
     for report in total.goals:
         assert report.selection_cost == pytest.approx(report.total)
 
@@ -407,8 +403,8 @@ def test_misuse_is_refused() -> None:
         replanner(goals=(GOALS[0], GOALS[0]))
     with pytest.raises(GoalUnreachableError, match="two"):
         replanner(goals=(Goal("far", np.array([0.0, 2.7, 0.0])),))
-    with pytest.raises(PlanningError, match="selection"):
-        replace(CONFIG, selection="cheapest")
+    with pytest.raises(SettingsError, match="selection"):
+        CONFIG.replaced(selection="cheapest")
     for change in (
         {"period_s": 0.0},
         {"min_separation_m": -0.1},
@@ -417,8 +413,8 @@ def test_misuse_is_refused() -> None:
         {"likely_probability": 0.0},
         {"prune_factor": 0.5},
     ):
-        with pytest.raises(PlanningError, match="wanted"):
-            replace(CONFIG, **change)
+        with pytest.raises(SettingsError, match=f"{next(iter(change))}: wanted"):
+            CONFIG.replaced(**change)
     with pytest.raises(PlanningError, match="start configuration: wanted two within"):
         replanner().start(np.array([0.0, 2.7, 0.0]), 0.0)
 

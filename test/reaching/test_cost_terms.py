@@ -72,8 +72,8 @@ def test_each_feature_alone(k: int) -> None:
 
 def test_history_changes_the_first_waypoints_only() -> None:
     q = reaches(1)
-    alone = PostureSmoothness(EVEN[:4], 1.3, N, START).joint_costs(q)
-    moving = PostureSmoothness(EVEN[:4], 1.3, N, START, history(q)).joint_costs(q)
+    alone = PostureSmoothness(EVEN[:4], 1.3, N, START).costs(q)
+    moving = PostureSmoothness(EVEN[:4], 1.3, N, START, history(q)).costs(q)
     assert (alone[:, 0] != moving[:, 0]).any()
     np.testing.assert_array_equal(alone[:, 2:], moving[:, 2:])
 

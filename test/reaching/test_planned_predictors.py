@@ -25,7 +25,7 @@ from humanpred_ros.reaching.reach_task import ReachTask
 from humanpred_ros.reaching.replanning import Replanned
 
 RECORDINGS = [recording(seed, 31) for seed in range(3)]
-FAST = ReachPlannerConfig(stomp=dataclasses.replace(ReachPlannerConfig().stomp, n_iterations=5))
+FAST = ReachPlannerConfig(stomp=ReachPlannerConfig().stomp.replaced(iterations=5))
 WEIGHTS = NAMED_WEIGHTS["authors_dynamic"]
 
 

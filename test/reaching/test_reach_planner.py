@@ -30,7 +30,7 @@ from humanpred_ros.stomp.smoothness import accelerations_matrix
 
 RECORDINGS = [recording(seed) for seed in range(3)]
 BOUNDS = PostureBounds.from_recordings(RECORDINGS, MODEL)
-FAST = ReachPlannerConfig(stomp=dataclasses.replace(ReachPlannerConfig().stomp, n_iterations=20))
+FAST = ReachPlannerConfig(stomp=ReachPlannerConfig().stomp.replaced(iterations=20))
 SCENE = Surroundings.of_p2()
 
 

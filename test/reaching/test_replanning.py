@@ -22,7 +22,7 @@ from humanpred_ros.reaching.surroundings import Surroundings
 
 RECORDINGS = [recording(seed, 61) for seed in range(3)]
 BOUNDS = PostureBounds.from_recordings(RECORDINGS, MODEL)
-FAST = ReachPlannerConfig(stomp=dataclasses.replace(ReachPlannerConfig().stomp, n_iterations=10))
+FAST = ReachPlannerConfig(stomp=ReachPlannerConfig().stomp.replaced(iterations=10))
 SCENE = Surroundings.of_p2()
 TASK = ReachTask.of(RECORDINGS[0])
 
@@ -85,7 +85,7 @@ def test_the_partner_is_the_one_of_the_moment_and_his_future_is_not_looked_at() 
     later[11:, 0] += 0.4
     other = dataclasses.replace(TASK, partner=Motion(TASK.partner.t_s, later, TASK.dof_names, frame_id="mocap"))
 
-    patient = ReachPlannerConfig(stomp=dataclasses.replace(FAST.stomp, n_iterations=50))
+    patient = ReachPlannerConfig(stomp=FAST.stomp.replaced(iterations=50))
     predictor = Replanned(ReachPlanner(MODEL, NAMED_WEIGHTS["baseline_1"], BOUNDS, SCENE, patient))
     a, b = (predictor.predict(task, np.random.default_rng(0)) for task in (TASK, other))
     np.testing.assert_array_equal(a[:20], b[:20])

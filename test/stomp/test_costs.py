@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 
+import cost_oracle
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -24,7 +25,6 @@ from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.chain import BodyPoints, BodySpheres
 from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.stomp import cost_oracle
 from humanpred_ros.stomp.costs import (
     POINTS_OF_P1,
     HumanOccupancyCost,
@@ -81,7 +81,7 @@ def test_obstacle_cost_is_the_oracles(seed: int, n_joints: int, axes: str, n: in
 def test_smoothness_is_the_oracles(seed: int, n_joints: int, n: int) -> None:
     q = random_trajectories(np.random.default_rng(seed), n_joints, n=n)
     term = SmoothnessCost()
-    np.testing.assert_allclose(term.joint_costs(q), cost_oracle.acceleration_costs(q), rtol=1e-3, atol=1e-8)
+    np.testing.assert_allclose(term.evaluate(q)[0], cost_oracle.acceleration_costs(q), rtol=1e-3, atol=1e-8)
     np.testing.assert_allclose(term.costs(q), cost_oracle.acceleration_costs(q).sum(axis=2), rtol=1e-3, atol=1e-7)
 
 
@@ -92,7 +92,7 @@ def test_joint_limit_cost_is_the_oracles(seed: int, margin: float) -> None:
     lower, upper = np.array([-1.0, -np.inf, -2.0]), np.array([1.0, np.inf, 0.5])
     term = JointLimitCost(lower, upper, margin_rad=margin)
     exact = cost_oracle.joint_limit_costs(lower, upper, margin, q)
-    np.testing.assert_allclose(term.joint_costs(q), exact, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(term.evaluate(q)[0], exact, rtol=1e-4, atol=1e-5)
     assert np.array_equal(term.valid(q), ((q >= lower) & (q <= upper)).all(axis=2))
 
 
@@ -133,7 +133,7 @@ def test_an_arm_wholly_inside_a_certain_human_costs_as_many_points_as_the_paper_
 
 
 def test_the_obstacle_potential_is_the_published_one() -> None:
-    """d >= .1: 0; 0 <= d < .1: (d - .1)² / .2; d < 0: .05 - d (facts section 4), times speed."""
+    """d >= .1: 0; 0 <= d < .1: (d - .1)² / .2; d < 0: .05 - d (docs/papers.md, 1.9), times speed."""
     arm = planar_arm()
     above_wall = -1.5 + 0.05 * np.arange(60) + 0.55  # a wall up to y = -0.55 m
     field = SignedDistanceField(np.full(3, -1.5), 0.05, np.tile(above_wall[None, :, None], (60, 1, 60)))

@@ -4,25 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cost_oracle
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from planning_worlds import ANY, COORDINATE, field_around, random_chain, random_points, random_spheres
-
-from humanpred_ros.geometry.chain import BodyPoints, KinematicChain
-from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.planning.timing.path import straight
-from humanpred_ros.stomp import cost_oracle
-from humanpred_ros.stomp.costs import (
-    CostTerm,
-    HumanOccupancyCost,
-    JointLimitCost,
-    ObstacleCost,
-    SmoothnessCost,
-)
-from humanpred_ros.stomp.oracle import (
+from stomp_oracle import (
     OraclePlan,
     OracleTerm,
     StompOracle,
@@ -31,7 +20,19 @@ from humanpred_ros.stomp.oracle import (
     obstacle_term,
     smoothness_term,
 )
-from humanpred_ros.stomp.planner import Plan, StompConfig, StompPlanner
+
+from humanpred_ros.geometry.chain import BodyPoints, KinematicChain
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
+from humanpred_ros.planning.timing.path import straight
+from humanpred_ros.stomp.config import StompConfig
+from humanpred_ros.stomp.costs import (
+    CostTerm,
+    HumanOccupancyCost,
+    JointLimitCost,
+    ObstacleCost,
+    SmoothnessCost,
+)
+from humanpred_ros.stomp.planner import Plan, StompPlanner
 from humanpred_ros.stomp.smoothness import accelerations_matrix
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -44,10 +45,10 @@ SHARE, SHARE_OF_COSTS = 3e-4, 2e-6
 
 def random_config(rng: np.random.Generator, n_joints: int, iterations: int, n: int, rollouts: int) -> StompConfig:
     return StompConfig(
-        n_waypoints=n,
-        n_iterations=iterations,
-        n_rollouts=rollouts,
-        n_reused=int(rng.integers(0, rollouts)),
+        waypoints=n,
+        iterations=iterations,
+        rollouts=rollouts,
+        reused=int(rng.integers(0, rollouts)),
         noise_std=tuple(rng.uniform(0.01, 0.05, n_joints)),
         noise_decay=float(rng.choice([1.0, 0.9])),
     )
@@ -188,7 +189,7 @@ def test_it_is_the_planner_with_all_terms_of_the_arm(seed: int, n_joints: int, a
         HumanOccupancyCost(chain, points, occupancy, 1.0),
         SmoothnessCost(1.0),
     ]
-    assert StompPlanner(terms, *limits, config).compiled_terms is not None
+    assert StompPlanner(terms, *limits, config).compiled
     theirs = [obstacle_term(chain, spheres, field, 100.0), watched.term, smoothness_term(1.0)]
     ours, exact, tolerance = both(terms, theirs, limits, config, initial, seed)
     assume(not watched.undecided(4e-5))
@@ -244,7 +245,7 @@ def test_points_exactly_on_cell_borders_are_looked_up_in_the_same_voxel(
 
 
 def test_the_noise_has_the_covariance_it_should() -> None:
-    config = StompConfig(n_waypoints=12, noise_std=0.5)
+    config = StompConfig(waypoints=12, noise_std=0.5)
     subject = StompOracle([smoothness_term(1.0)], [-1.0], [1.0], config)
     bits = np.random.default_rng(0).integers(0, 2**16, 10 * 20000).astype(np.uint16)
     epsilon = subject.noise(bits, 20000)[:, :, 0]
@@ -254,7 +255,7 @@ def test_the_noise_has_the_covariance_it_should() -> None:
 
 
 def test_a_waypoint_outside_the_limits_comes_back_smoothly_and_the_ends_stay() -> None:
-    subject = StompOracle([smoothness_term(1.0)], [-1.0], [1.0], StompConfig(n_waypoints=20))
+    subject = StompOracle([smoothness_term(1.0)], [-1.0], [1.0], StompConfig(waypoints=20))
     bulge = np.sin(np.linspace(0.0, np.pi, 20))[:, None] * 1.2
     inside = subject.within_limits(bulge)
     assert inside.max() <= 1.0 + 1e-6
@@ -269,7 +270,7 @@ def test_it_ends_no_dearer_than_it_began() -> None:
     field = field_around(rng.random((36, 31, 29)) < 1e-2, (-0.9, -0.8, -0.7), 0.05)
     term = obstacle_term(chain, spheres, field, 100.0)
     initial = random_line(rng, 4, 20)
-    config = StompConfig(n_waypoints=20, n_iterations=20, noise_std=0.02)
+    config = StompConfig(waypoints=20, iterations=20, noise_std=0.02)
     unlimited = np.full(4, np.inf)
     plan = StompOracle([term], -unlimited, unlimited, config).plan(initial, rng)
     costs, allowed = term.evaluate(initial[None])
@@ -277,9 +278,9 @@ def test_it_ends_no_dearer_than_it_began() -> None:
     assert (not plan.valid, plan.total) < (not allowed.all(), 100.0 * costs.sum())
 
 
-@pytest.mark.parametrize("n_reused", [0, 3])
-def test_reuse_means_the_same_in_both(n_reused: int) -> None:
-    config = StompConfig(n_waypoints=30, n_iterations=6, n_rollouts=6, n_reused=n_reused, noise_std=0.02)
+@pytest.mark.parametrize("reused", [0, 3])
+def test_reuse_means_the_same_in_both(reused: int) -> None:
+    config = StompConfig(waypoints=30, iterations=6, rollouts=6, reused=reused, noise_std=0.02)
     initial = straight([0.0, 0.5, -0.5], [1.0, -0.5, 0.5], 30)
     limits = np.full(3, -2.0), np.full(3, 2.0)
     ours, exact, tolerance = both([SmoothnessCost(1.0)], [smoothness_term(1.0)], limits, config, initial, 5)

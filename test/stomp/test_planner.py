@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,9 +11,10 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from planning_worlds import field_around, random_chain, random_points, random_spheres
 
-from humanpred_ros.errors import ArrayError, PlanningError
+from humanpred_ros.errors import ArrayError, PlanningError, SettingsError
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.planning.timing.path import straight
+from humanpred_ros.stomp.config import StompConfig
 from humanpred_ros.stomp.costs import (
     CostTerm,
     HumanOccupancyCost,
@@ -22,7 +22,7 @@ from humanpred_ros.stomp.costs import (
     ObstacleCost,
     SmoothnessCost,
 )
-from humanpred_ros.stomp.planner import Plan, StompConfig, StompPlanner
+from humanpred_ros.stomp.planner import Plan, StompPlanner
 
 
 class Disc(CostTerm):
@@ -35,16 +35,14 @@ class Disc(CostTerm):
     def distance(self, q: ArrayLike) -> NDArray[np.float64]:
         return np.linalg.norm(np.asarray(q)[..., :2] - self.centre, axis=-1)
 
-    def costs(self, q: ArrayLike) -> NDArray[np.float32]:
-        return np.maximum(self.radius - self.distance(q), 0.0).astype(np.float32)
-
-    def valid(self, q: ArrayLike) -> NDArray[np.bool_]:
-        return self.distance(q) >= self.forbidden
+    def evaluate(self, q: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        distance = self.distance(q)
+        return np.maximum(self.radius - distance, 0.0).astype(np.float32), distance >= self.forbidden
 
 
 WIDE = np.full(2, 10.0)
 LINE = straight([-1.0, 0.05], [1.0, -0.05], 60)
-CONFIG = StompConfig(n_waypoints=60, n_iterations=60, noise_std=0.01)
+CONFIG = StompConfig(waypoints=60, iterations=60, noise_std=0.01)
 
 
 def planner(config: StompConfig = CONFIG, disc: Disc | None = None, limit: ArrayLike = WIDE) -> StompPlanner:
@@ -73,10 +71,10 @@ def test_ends_are_exact_and_limits_hold_for_any_arm(
     inside = np.minimum(limit, 3.0)
     start, goal = rng.uniform(-inside, inside), rng.uniform(-inside, inside)
     config = StompConfig(
-        n_waypoints=n,
-        n_iterations=4,
-        n_rollouts=rollouts,
-        n_reused=data.draw(st.integers(0, rollouts - 1)),
+        waypoints=n,
+        iterations=4,
+        rollouts=rollouts,
+        reused=data.draw(st.integers(0, rollouts - 1)),
         noise_std=tuple(rng.uniform(0.001, 0.3, n_joints)),
         noise_decay=data.draw(st.sampled_from([0.9, 1.0])),
     )
@@ -100,14 +98,14 @@ def test_it_goes_round_what_costs() -> None:
 
 def test_it_is_never_worse_than_what_it_began_with() -> None:
     for seed in range(10):
-        config = replace(CONFIG, n_iterations=3, noise_std=0.5)
+        config = CONFIG.replaced(iterations=3, noise_std=0.5)
         plan = planner(config).plan(LINE, np.random.default_rng(seed))
         assert plan.total <= planner().assess(LINE).total * (1.0 + 1e-6)
 
 
-@pytest.mark.parametrize("n_reused", [0, 5])
-def test_the_same_seed_gives_the_same_plan_in_any_thread(n_reused: int) -> None:
-    subject = planner(replace(CONFIG, n_reused=n_reused))
+@pytest.mark.parametrize("reused", [0, 5])
+def test_the_same_seed_gives_the_same_plan_in_any_thread(reused: int) -> None:
+    subject = planner(CONFIG.replaced(reused=reused))
     alone = [subject.plan(LINE, np.random.default_rng(seed)) for seed in range(6)]
     with ThreadPoolExecutor(3) as pool:
         together = list(pool.map(lambda seed: subject.plan(LINE, np.random.default_rng(seed)), range(6)))
@@ -118,8 +116,8 @@ def test_the_same_seed_gives_the_same_plan_in_any_thread(n_reused: int) -> None:
 class Temptation(Disc):
     """The straight way is the cheapest, and leads through the forbidden core."""
 
-    def costs(self, q: ArrayLike) -> NDArray[np.float32]:
-        return np.abs(np.asarray(q)[..., 1]).astype(np.float32)
+    def evaluate(self, q: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        return np.abs(q[..., 1]), super().evaluate(q)[1]
 
 
 def test_an_allowed_trajectory_is_preferred_to_a_cheaper_forbidden_one() -> None:
@@ -156,11 +154,11 @@ def test_it_stays_within_limits_that_the_way_round_would_leave() -> None:
 
 def test_a_deadline_ends_it_with_the_best_so_far() -> None:
     asked = iter([False, False, False, True])
-    long = replace(CONFIG, n_iterations=5000)
+    long = CONFIG.replaced(iterations=5000)
     plan = planner(long).plan(LINE, np.random.default_rng(0), deadline=lambda: next(asked))
     assert 3 <= plan.iterations < 5000
     # Nothing else was done than in a plan that was to end there.
-    assert same(plan, planner(replace(long, n_iterations=plan.iterations)).plan(LINE, np.random.default_rng(0)))
+    assert same(plan, planner(long.replaced(iterations=plan.iterations)).plan(LINE, np.random.default_rng(0)))
     none = planner().plan(LINE, np.random.default_rng(0), deadline=lambda: True)
     assert none.iterations == 0
     np.testing.assert_array_equal(none.waypoints, LINE)
@@ -177,10 +175,10 @@ def test_portions_change_nothing(portions: list[int]) -> None:
 
 
 def test_a_plan_that_becomes_no_better_ends_early_if_asked_to() -> None:
-    patient = replace(CONFIG, n_iterations=400, patience=20, tolerance=0.05)
+    patient = CONFIG.replaced(iterations=400, patience=20, tolerance=0.05)
     plan = planner(patient).plan(LINE, np.random.default_rng(0))
     assert 20 < plan.iterations < 400
-    assert planner(replace(patient, patience=0)).plan(LINE, np.random.default_rng(0)).iterations == 400
+    assert planner(patient.replaced(patience=0)).plan(LINE, np.random.default_rng(0)).iterations == 400
     # What is not allowed is never given up for good.
     blocked = Disc([0.0, 0.0], 5.0, forbidden=4.0)
     assert planner(patient, blocked).plan(LINE, np.random.default_rng(0)).iterations == 400
@@ -190,15 +188,15 @@ def test_noise_can_be_changed_for_one_plan() -> None:
     subject = planner()
     still = subject.plan(LINE, np.random.default_rng(0), noise_std=(0.01, 1e-9))
     assert np.abs(still.waypoints[:, 1] - LINE[:, 1]).max() < 1e-6
-    louder = planner(replace(CONFIG, noise_std=0.02)).plan(LINE, np.random.default_rng(0))
+    louder = planner(CONFIG.replaced(noise_std=0.02)).plan(LINE, np.random.default_rng(0))
     assert same(subject.plan(LINE, np.random.default_rng(0), noise_std=0.02), louder)
     with pytest.raises(PlanningError, match="noise_std"):
         subject.plan(LINE, np.random.default_rng(0), noise_std=(0.1, 0.1, 0.1))
 
 
 @settings(max_examples=12)
-@given(seed=st.integers(0, 2**32 - 1), n_reused=st.sampled_from([0, 3]))
-def test_the_compiled_loop_does_what_calling_term_by_term_does(seed: int, n_reused: int) -> None:
+@given(seed=st.integers(0, 2**32 - 1), reused=st.sampled_from([0, 3]))
+def test_the_compiled_loop_does_what_calling_term_by_term_does(seed: int, reused: int) -> None:
     rng = np.random.default_rng(seed)
     chain = random_chain(rng, 5)
     occupied = rng.random((12, 12, 12)) < 0.05
@@ -207,11 +205,11 @@ def test_the_compiled_loop_does_what_calling_term_by_term_does(seed: int, n_reus
     rising = np.linspace(0.0, 1.0, 20, dtype=np.float32)[:, None, None]
     occupancy = Occupancy(VoxelGrid((-1.0, -1.0, -1.0), 0.1, (20, 20, 20)), np.tile(rising, (1, 20, 20)))
     human = HumanOccupancyCost(chain, random_points(rng, 5), occupancy, 0.5)
-    config = StompConfig(n_waypoints=30, n_iterations=4, n_rollouts=8, n_reused=n_reused, noise_std=0.01)
+    config = StompConfig(waypoints=30, iterations=4, rollouts=8, reused=reused, noise_std=0.01)
     terms = [obstacles, human, SmoothnessCost(10.0)]
     both = [StompPlanner(order, [-3.0] * 5, [3.0] * 5, config) for order in (terms, [terms[2], *terms[:2]])]
-    assert both[0].compiled_terms is not None
-    assert both[1].compiled_terms is None
+    assert both[0].compiled
+    assert not both[1].compiled
     line = straight(rng.uniform(-2.0, 2.0, 5), rng.uniform(-2.0, 2.0, 5), 30)
     one, other = (subject.plan(line, np.random.default_rng(1)) for subject in both)
     assert one.iterations == other.iterations == 4
@@ -230,9 +228,9 @@ def test_shares_are_weighted_and_add_up() -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"n_waypoints": 4},
-        {"n_reused": 10},
-        {"n_iterations": -1},
+        {"waypoints": 4},
+        {"reused": 10},
+        {"iterations": -1},
         {"noise_std": 0.0},
         {"noise_decay": 0.0},
         {"sharpness": 0.0},
@@ -242,8 +240,8 @@ def test_shares_are_weighted_and_add_up() -> None:
     ],
 )
 def test_impossible_settings_are_refused(change: dict[str, float]) -> None:
-    with pytest.raises(PlanningError, match="STOMP: wanted"):
-        replace(CONFIG, **change)
+    with pytest.raises(SettingsError, match=f"StompConfig {next(iter(change))}: wanted"):
+        CONFIG.replaced(**change)
 
 
 def test_what_does_not_fit_is_refused() -> None:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from humanpred_ros.planning.timing.path import straight
+from humanpred_ros.stomp.config import StompConfig
 from humanpred_ros.stomp.costs import SmoothnessCost
-from humanpred_ros.stomp.planner import StompConfig, StompPlanner, StompRun
-from humanpred_ros.stomp.rounds import TURN, advance_all
+from humanpred_ros.stomp.planner import TURN, StompPlanner, StompRun, advance_all
 
-CONFIG = StompConfig(n_waypoints=20, n_iterations=60, noise_std=0.01)
+CONFIG = StompConfig(waypoints=20, iterations=60, noise_std=0.01)
 
 
 def runs(count: int) -> list[StompRun]:

@@ -32,7 +32,7 @@ def test_noise_has_the_inverse_as_its_covariance(n: int) -> None:
 
 
 def test_noise_is_as_large_as_published() -> None:
-    # facts section 4: std 0.002 gives 0.148 rad at the middle and 0.10 at a quarter, of 100 free waypoints.
+    # docs/papers.md, P1 STOMP: std 0.002 gives 0.148 rad at the middle and 0.10 at a quarter, of 100 free waypoints.
     deviation = 0.002 * np.sqrt(np.diag(np.linalg.inv(dense(102))))
     assert deviation[49] == pytest.approx(0.148, abs=0.002)
     assert deviation[24] == pytest.approx(0.10, abs=0.005)

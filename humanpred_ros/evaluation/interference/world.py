@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -39,7 +39,7 @@ class RunSettings:
             The same goes for those that follow: who is shown motion 7 has learned from all but 5 to 9.
     """
 
-    replanner: ReplannerConfig = field(default_factory=lambda: ReplannerConfig(n_threads=1))
+    replanner: ReplannerConfig = field(default_factory=lambda: ReplannerConfig(threads=1))
     steps: int = 20
     threshold: float = 0.001
     hold_s: float = 4.0
@@ -48,7 +48,7 @@ class RunSettings:
 
     def replanner_config(self, motion: Motion, seed: int) -> ReplannerConfig:
         """Return the replanner's settings beside one motion."""
-        return replace(self.replanner, period_s=motion.duration_s / self.steps, seed=seed)
+        return self.replanner.replaced(period_s=motion.duration_s / self.steps, seed=seed)
 
     def held_postures(self, motion: Motion) -> int:
         """Return how often the motion's last posture is repeated."""

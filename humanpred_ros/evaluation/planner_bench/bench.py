@@ -1,4 +1,4 @@
-"""How long planning takes beside the least it could take: ours, the NumPy oracle and a C++ floor in one run.
+"""How long planning takes beside the least it could take: ours and a C++ floor in one run.
 
 Everything is repeated in turn, one round after the other, because machines are shared and slow down for seconds at a
 time; ratios are formed within rounds, with the floor measured right before and right after. The floor is the C++
@@ -18,13 +18,12 @@ import numpy as np
 from humanpred_ros.evaluation.planner_bench.floor import Yardstick
 from humanpred_ros.evaluation.planner_bench.growth import GrowthRow, measure_growth
 from humanpred_ros.evaluation.planner_bench.others import OthersCores
-from humanpred_ros.evaluation.planner_bench.share import LookupShare, lookup_share, oracle_of
+from humanpred_ros.evaluation.planner_bench.share import LookupShare, lookup_share
 from humanpred_ros.evaluation.planner_bench.timing import (
     Samples,
     Times,
     durations_ms,
     floor_of,
-    generator,
     median_ms,
     overruns_ms,
     plan_all,
@@ -37,7 +36,6 @@ from humanpred_ros.evaluation.planner_bench.world import BenchWorld, BenchWorlds
 TARGET_TO_FLOOR, TARGET_GOALS_MS, TARGET_THREADS, TARGET_OVERRUN_MS = 1.8, 45.0, 1.7, 2.0
 PUBLISHED_MS = 500.0
 THREADS = 2
-_ORACLE_ROUNDS = 3
 #: Where deadlines fall, as a share of the time a whole plan wants.
 _DEADLINES = (0.1, 0.5, 0.9)
 
@@ -51,9 +49,9 @@ class PlannerBench:
         lookups: per goal; what the floor is charged for.
         share_first, share_last: of them that ours did in the first and around the finished plan; the others
             were links far from everything.
-        ours_ms, full_ms, oracle_ms, floor_ms: one goal on one thread; full: with nothing to skip.
+        ours_ms, full_ms, floor_ms: one goal on one thread; full: with nothing to skip.
         ns_per_lookup: of the floor.
-        to_floor, full_to_floor, oracle_to_ours: ratios within rounds.
+        to_floor, full_to_floor: ratios within rounds.
         best_to_floor: least time of ours over the floor's least: what is left when nobody else used the machine.
         one_thread_ms, two_threads_ms, speed_up: all goals.
         floor_two_threads_ms, floor_speed_up: the yardstick's on two threads, which is what the machine allows; and its
@@ -70,12 +68,10 @@ class PlannerBench:
     share_last: LookupShare
     ours_ms: Times
     full_ms: Times
-    oracle_ms: Times | None
     floor_ms: Times | None
     ns_per_lookup: Times | None
     to_floor: Times | None
     full_to_floor: Times | None
-    oracle_to_ours: Times | None
     best_to_floor: float | None
     one_thread_ms: Times
     two_threads_ms: Times
@@ -93,7 +89,6 @@ def bench_planner(
     yardstick: Yardstick,
     *,
     rounds: int,
-    oracle: bool = True,
     growth: bool = True,
     report: Callable[[str], None] = lambda _: None,
 ) -> PlannerBench:
@@ -103,7 +98,7 @@ def bench_planner(
         case: what to plan.
         yardstick: compiled, or one without a program.
         rounds: how often each is measured.
-        oracle, growth: whether these are measured too.
+        growth: whether the growth curves are measured too.
         report: told what is measured next.
 
     Raises:
@@ -117,7 +112,7 @@ def bench_planner(
         finished = plan_one(world, 0)  # compiles, or loads what was compiled
         for k in range(rounds):
             report(f"round {k + 1} of {rounds}")
-            _round(found, k, world, full, yardstick, pool, oracle=oracle and k < _ORACLE_ROUNDS)
+            _round(found, k, world, full, yardstick, pool)
         rows = measure_growth(case, worlds, yardstick, pool, report) if growth else ()
     return PlannerBench(
         case=case,
@@ -126,12 +121,10 @@ def bench_planner(
         share_last=lookup_share(world, finished.waypoints),
         ours_ms=found.times("ours"),
         full_ms=found.times("full"),
-        oracle_ms=found.times_or_none("oracle"),
         floor_ms=found.times_or_none("floor"),
         ns_per_lookup=found.times_or_none("ns per lookup"),
         to_floor=found.times_or_none("ours / floor"),
         full_to_floor=found.times_or_none("full / floor"),
-        oracle_to_ours=found.ratio_or_none("oracle", "ours"),
         best_to_floor=found.best_ratio_or_none("least of ours", "least of floor"),
         one_thread_ms=found.times("one thread"),
         two_threads_ms=found.times("two threads"),
@@ -152,8 +145,6 @@ def _round(
     full: BenchWorld,
     yardstick: Yardstick,
     pool: ThreadPoolExecutor,
-    *,
-    oracle: bool,
 ) -> None:
     """Measure everything once."""
     case, some = world.case, some_goals(k, world.case)
@@ -179,5 +170,3 @@ def _round(
             found.note("overrun", late)
     found.note("one thread", median_ms(lambda _: plan_all(world, None), [0]))
     found.note("two threads", median_ms(lambda _: plan_all(world, pool), [0]))
-    if oracle:
-        found.note("oracle", median_ms(lambda g: oracle_of(world).plan(world.paths[g], generator(g)), some[:1]))

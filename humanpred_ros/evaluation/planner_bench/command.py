@@ -46,7 +46,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(f"--{name}", type=int, default=getattr(case, name), metavar="N", help=meaning)
     parser.add_argument("--rounds", type=int, default=9, metavar="N", help="measurements of everything")
     parser.add_argument("--yardstick", metavar="FILE", help="cost_floor.cpp; else looked for in ../shared/yardsticks")
-    parser.add_argument("--no-oracle", action="store_true", help="leave the NumPy oracle out; it takes seconds")
     parser.add_argument("--no-growth", action="store_true", help="leave the growth curves out")
 
 
@@ -68,7 +67,6 @@ def run(options: argparse.Namespace, console: Console) -> int:
             case,
             Yardstick.compiled(source, Path(folder)),
             rounds=options.rounds,
-            oracle=not options.no_oracle,
             growth=not options.no_growth,
             report=lambda what: status.update(f"measuring: {what}"),
         )
@@ -100,14 +98,12 @@ def print_bench(bench: PlannerBench, console: Console) -> None:
     table = Table(first, "median", "least", "most", "n", "target", "published", box=None)
     _add(table, "one goal", bench.ours_ms, published=f"{PUBLISHED_MS:.0f}")
     _add(table, "  nothing to skip", bench.full_ms)
-    _add(table, "  NumPy oracle", bench.oracle_ms)
     _add(table, "  C++ floor, as many lookups", bench.floor_ms)
     _add(table, "    one lookup, ns", bench.ns_per_lookup)
     _add(table, "one goal / floor", bench.to_floor, f"<= {TARGET_TO_FLOOR}")
     if bench.best_to_floor is not None:
         table.add_row("  the best of each", f"{bench.best_to_floor:.2f}")
     _add(table, "  nothing to skip / floor", bench.full_to_floor)
-    _add(table, "NumPy oracle / one goal", bench.oracle_to_ours)
     _add(table, f"{case.goals} goals", bench.one_thread_ms)
     _add(table, "back after its deadline", bench.overrun_ms, f"<= {TARGET_OVERRUN_MS:.0f}")
     _add(

@@ -15,7 +15,6 @@ from humanpred_ros.evaluation.planner_bench.world import BenchWorld
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.stomp import iteration_kernels
 from humanpred_ros.stomp.cost_kernels import BLOCK
-from humanpred_ros.stomp.oracle import StompOracle, human_term, obstacle_term, smoothness_term
 
 BoolArray = NDArray[np.bool_]
 
@@ -29,30 +28,16 @@ class LookupShare:
     all: float
 
 
-def oracle_of(world: BenchWorld) -> StompOracle:
-    """Return the NumPy oracle of a world's planner."""
-    chain, human, obstacle = world.arm.chain, world.human, world.obstacle
-    terms = (
-        obstacle_term(
-            chain,
-            obstacle.spheres,
-            obstacle.field,
-            obstacle.weight,
-            obstacle.clearance_m,
-            obstacle.margin_m,
-            obstacle.duration_s,
-        ),
-        human_term(chain, human.points, human.occupancy, human.weight),
-        smoothness_term(world.smoothness.weight),
-    )
-    return StompOracle(terms, chain.lower, chain.upper, world.case.stomp)
-
-
 def lookup_share(world: BenchWorld, path: FloatArray) -> LookupShare:
     """Return the share of lookups done in an iteration around the trajectory `path` (N, 7)."""
-    oracle, count = oracle_of(world), world.case.rollouts
-    bits = iteration_kernels.random_bits(np.random.default_rng(0), path[1:-1].size * count)[: path[1:-1].size * count]
-    q = np.concatenate([oracle.rollouts(path, oracle.noise(bits, count)), path[None]]).reshape(-1, path.shape[1])
+    planner, count = world.planner, world.case.rollouts
+    bits = iteration_kernels.random_bits(np.random.default_rng(0), path[1:-1].size * count)
+    factor, rollouts = planner.smoothness.factor, np.empty((count + 1, *path.shape), dtype=np.float32)
+    iteration_kernels.sample(
+        np.array(path), bits, iteration_kernels.QUANTILES, planner.noise_std, planner.lower, planner.upper, factor,
+        factor.astype(np.float32), rollouts,
+    )  # fmt: skip
+    q = rollouts.astype(np.float64).reshape(-1, path.shape[1])
     points, spheres = _points_done(world, q), _spheres_done(world, q)
     n_points, n_spheres = world.case.points, world.case.spheres
     return LookupShare(points, spheres, (points * n_points + spheres * n_spheres) / (n_points + n_spheres))

@@ -20,8 +20,9 @@ from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
 from humanpred_ros.planning.timing.path import straight
 from humanpred_ros.robot.pr2 import BODY_POINT_SPACING_M, Pr2Arm
 from humanpred_ros.robot.scene import Scene, load_scene
+from humanpred_ros.stomp.config import StompConfig
 from humanpred_ros.stomp.costs import HumanOccupancyCost, ObstacleCost, SmoothnessCost
-from humanpred_ros.stomp.planner import StompConfig, StompPlanner
+from humanpred_ros.stomp.planner import StompPlanner
 
 #: Arm, start and goals are this scene's.
 _SCENE = "four_places"
@@ -78,10 +79,10 @@ class Case:
     @property
     def stomp(self) -> StompConfig:
         return StompConfig(
-            n_waypoints=self.waypoints,
-            n_iterations=self.iterations,
-            n_rollouts=self.rollouts,
-            n_reused=self.reused,
+            waypoints=self.waypoints,
+            iterations=self.iterations,
+            rollouts=self.rollouts,
+            reused=self.reused,
             patience=0,  # all iterations are done, whether or not they still help
         )
 

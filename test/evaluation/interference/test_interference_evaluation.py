@@ -25,10 +25,10 @@ from humanpred_ros.evaluation.interference.world import RunSettings, World, trai
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.recognition.gmm_config import GmmConfig
-from humanpred_ros.stomp.planner import StompConfig
+from humanpred_ros.stomp.config import StompConfig
 
 SETTINGS = RunSettings(
-    replanner=ReplannerConfig(n_threads=1, stomp=StompConfig(n_waypoints=30, n_iterations=60)),
+    replanner=ReplannerConfig(threads=1, stomp=StompConfig(waypoints=30, iterations=60)),
     steps=5,
     hold_s=4.0,
     gmm=GmmConfig(n_components=3, max_iterations=10),

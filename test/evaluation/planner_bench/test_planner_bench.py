@@ -19,7 +19,7 @@ from humanpred_ros.evaluation.planner_bench import growth as planner_bench_growt
 from humanpred_ros.evaluation.planner_bench.bench import bench_planner
 from humanpred_ros.evaluation.planner_bench.floor import Lookup, Yardstick, find_yardstick
 from humanpred_ros.evaluation.planner_bench.others import OthersCores
-from humanpred_ros.evaluation.planner_bench.share import lookup_share, oracle_of
+from humanpred_ros.evaluation.planner_bench.share import lookup_share
 from humanpred_ros.evaluation.planner_bench.timing import Times
 from humanpred_ros.evaluation.planner_bench.world import (
     BenchWorlds,
@@ -130,14 +130,6 @@ def test_nothing_is_looked_up_far_from_everything(worlds: BenchWorlds) -> None:
     assert share.spheres < 0.5
 
 
-def test_the_bench_and_its_oracle_plan_the_same(worlds: BenchWorlds) -> None:
-    world = worlds.world(SMALL)
-    ours = world.planner.plan(world.paths[1], np.random.default_rng(3))
-    exact = oracle_of(world).plan(world.paths[1], np.random.default_rng(3))
-    np.testing.assert_allclose(ours.waypoints, exact.waypoints, atol=1e-4)
-    assert ours.iterations == SMALL.iterations
-
-
 @COMPILER
 def test_the_floor_is_the_line_for_float32_on_one_thread(tmp_path: Path) -> None:
     source = tmp_path / "cost_floor.cpp"
@@ -158,8 +150,8 @@ def test_without_source_or_compiler_there_is_no_floor_and_a_reason(tmp_path: Pat
     source.write_text(PROGRAM)
     yardstick = Yardstick.compiled(source, tmp_path, compiler="no-such-compiler")
     assert "no-such-compiler" in yardstick.missing
-    bench = bench_planner(SMALL, yardstick, rounds=1, oracle=False)
-    assert bench.floor_ms is bench.to_floor is bench.oracle_ms is None
+    bench = bench_planner(SMALL, yardstick, rounds=1)
+    assert bench.floor_ms is bench.to_floor is None
     assert bench.no_floor == yardstick.missing
     with pytest.raises(UsageError, match="there is no"):
         find_yardstick(str(tmp_path / "absent.cpp"))
@@ -179,7 +171,6 @@ def test_everything_is_measured_printed_and_written(tmp_path: Path, quick: None)
     assert bench["best_to_floor"] == pytest.approx(bench["ours_ms"]["least"] / (2.0e-6 * SMALL.lookups), rel=1.0)
     assert bench["floor_two_threads_ms"]["median"] == pytest.approx(1.25e-6 * SMALL.lookups * SMALL.goals)
     assert bench["floor_speed_up"]["median"] == 2.0
-    assert bench["oracle_to_ours"]["n"] == 1
     assert [(row["what"], row["size"]) for row in bench["growth"]] == [
         ("goals", 1), ("goals", 2), ("points", 10), ("points", 20),
     ]  # fmt: skip

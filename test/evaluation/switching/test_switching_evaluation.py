@@ -24,10 +24,10 @@ from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.recognition.gmm_config import GmmConfig
 from humanpred_ros.robot.scene import load_scene
-from humanpred_ros.stomp.planner import StompConfig
+from humanpred_ros.stomp.config import StompConfig
 
 SETTINGS = RunSettings(
-    replanner=ReplannerConfig(n_threads=1, stomp=StompConfig(n_waypoints=30, n_iterations=40)),
+    replanner=ReplannerConfig(threads=1, stomp=StompConfig(waypoints=30, iterations=40)),
     steps=5,
     gmm=GmmConfig(n_components=3, max_iterations=10),
     hold_out=1,

@@ -1,6 +1,6 @@
-"""STOMP once more in plain NumPy and float64, written to be read: the compiled planner is tested and timed against it.
+"""STOMP once more in plain NumPy and float64, written to be read: the compiled planner is tested against it.
 
-Notation (P1 IV-B and its references; facts section 4): θ (N, D) is the trajectory, A its accelerations' finite
+Notation (docs/papers.md, P1 STOMP): θ (N, D) is the trajectory, A its accelerations' finite
 differences, R = AᵀA over the free waypoints, ε_k ~ N(0, R⁻¹) the noise of rollout k, S its cost at each waypoint,
 P its probability there, M = R⁻¹ with every column scaled to a largest element of 1/n. Given the same generator it
 draws the same random bits as `StompPlanner` and gives the same trajectory, to within float32's rounding.
@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import cost_oracle
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
@@ -20,8 +21,7 @@ from humanpred_ros.geometry.chain import BodyPoints, BodySpheres, KinematicChain
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.geometry.lattice import Occupancy
-from humanpred_ros.stomp import cost_oracle
-from humanpred_ros.stomp.planner import StompConfig
+from humanpred_ros.stomp.config import StompConfig
 from humanpred_ros.stomp.smoothness import accelerations_matrix
 
 BoolArray = NDArray[np.bool_]
@@ -131,7 +131,7 @@ class StompOracle:
     @cached_property
     def R(self) -> FloatArray:  # noqa: N802
         """(n, n) over the n = N - 2 free waypoints."""
-        A = accelerations_matrix(self.config.n_waypoints)[:, 1:-1]
+        A = accelerations_matrix(self.config.waypoints)[:, 1:-1]
         R: FloatArray = A.T @ A
         return R
 
@@ -158,15 +158,15 @@ class StompOracle:
         bits = self._random_bits(rng)
         kept = np.empty((0, *theta.shape))
         best: OraclePlan | None = None
-        for iteration in range(cfg.n_iterations):
-            count = cfg.n_rollouts - len(kept)
+        for iteration in range(cfg.iterations):
+            count = cfg.rollouts - len(kept)
             draws, bits = np.split(bits, [count * theta[1:-1].size])
             new = self.rollouts(theta, self.noise(draws, count, cfg.noise_decay**iteration))
             rollouts = np.concatenate([kept, new, theta[None]])
             costs = self.evaluate(rollouts)
             best = _better(best, OraclePlan(theta, float(costs.total[-1]), bool(costs.valid[-1])))
             theta = self.improved(theta, rollouts[:-1], costs.per_joint[:-1])
-            cheapest = np.argsort(costs.total[:-1], kind="stable")[: cfg.n_reused]
+            cheapest = np.argsort(costs.total[:-1], kind="stable")[: cfg.reused]
             kept = rollouts[np.sort(cheapest)]
         costs = self.evaluate(theta[None])
         return _better(best, OraclePlan(theta, float(costs.total[0]), bool(costs.valid[0])))
@@ -212,7 +212,7 @@ class StompOracle:
         """Return θ pushed inside the limits, its ends untouched.
 
         The worst waypoint of a joint moves onto its limit, its neighbours with it along that waypoint's column of
-        R⁻¹, ten times at most; the rest is clipped (facts section 4).
+        R⁻¹, ten times at most; the rest is clipped (docs/papers.md (1.6) to (1.8)).
         """
         inside = theta.copy()
         for d in range(inside.shape[1]):
@@ -231,8 +231,8 @@ class StompOracle:
     def _random_bits(self, rng: np.random.Generator) -> NDArray[np.uint16]:
         """Draw all the bits of a plan at once, as `StompPlanner` does, or the generators would part ways."""
         cfg = self.config
-        new = cfg.n_rollouts - cfg.n_reused
-        draws = len(self.R) * len(self.lower) * (cfg.n_reused + new * cfg.n_iterations)
+        new = cfg.rollouts - cfg.reused
+        draws = len(self.R) * len(self.lower) * (cfg.reused + new * cfg.iterations)
         words = rng.integers(0, 2**64 - 1, size=(draws + 3) // 4, dtype=np.uint64, endpoint=True)
         return words.view(np.uint16)
 
