@@ -51,7 +51,7 @@ def outputs_of(*given: str) -> Outputs:
 
 
 def test_all_commands_are_looked_at() -> None:
-    assert {"recognition", "occupancy", "reaching", "planner_bench", "graph_bench"} <= set(COMMANDS)
+    assert {"occupancy", "reaching", "planner_bench", "graph_bench"} <= set(COMMANDS)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -69,7 +69,6 @@ def test_a_file_in_no_folder_is_refused_before_any_work(command: str, tmp_path: 
 @pytest.mark.parametrize(
     ("command", "option", "valid"),
     [
-        ("recognition", "--classifier", "gmm"),
         ("occupancy", "--predictor", "swept_volume"),
         ("reaching", "--predictor", "minimum_jerk"),
         ("interference", "--methods", "basic"),

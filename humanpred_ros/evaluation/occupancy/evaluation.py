@@ -22,12 +22,12 @@ import numpy as np
 
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.evaluation_grid import grid_around, swept_region
+from humanpred_ros.evaluation.needs import LEARNS_CLASSES, LEARNS_FROM_OTHERS, Needs, check_needs
 from humanpred_ros.evaluation.occupancy.result import OccupancyEvaluation, PredictorResult
 from humanpred_ros.evaluation.occupancy.runs import ENDS, LeftOutMotions, OccupancySetup
 from humanpred_ros.evaluation.occupancy.scores import LOG_CLIP, MISSED_BELOW
 from humanpred_ros.evaluation.outputs import library_facts, machine_facts
 from humanpred_ros.evaluation.parallel import map_processes
-from humanpred_ros.evaluation.recognition.needs import LEARNS_CLASSES, LEARNS_FROM_OTHERS, Needs, check_needs
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel, human_with

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from humanpred_ros.errors import HumanPredError
 from humanpred_ros.evaluation.occupancy.scores import VoxelScores, voxel_scores
-from humanpred_ros.evaluation.recognition.scores import percent_indices
+from humanpred_ros.evaluation.recognition_scores import percent_indices
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel

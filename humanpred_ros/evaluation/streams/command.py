@@ -13,8 +13,8 @@ from rich.table import Table
 
 from humanpred_ros.evaluation.options import Outputs, add_jobs, add_library, add_outputs, progress_lines, read_library
 from humanpred_ros.evaluation.outputs import library_facts, machine_facts
-from humanpred_ros.evaluation.recognition.classifiers import EVALUATED
-from humanpred_ros.evaluation.recognition.reference import advice_beside
+from humanpred_ros.evaluation.published import advice_beside
+from humanpred_ros.evaluation.recognition_runs import EVALUATED
 from humanpred_ros.evaluation.standing import StandingConfig
 from humanpred_ros.evaluation.streams.composed import StreamConfig
 from humanpred_ros.evaluation.streams.evaluation import (

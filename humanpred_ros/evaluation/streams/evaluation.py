@@ -12,7 +12,7 @@ import numpy as np
 from humanpred_ros.errors import LibraryFormatError, UsageError
 from humanpred_ros.evaluation.outputs import plain
 from humanpred_ros.evaluation.parallel import map_processes
-from humanpred_ros.evaluation.recognition.classifiers import make_evaluated
+from humanpred_ros.evaluation.recognition_runs import make_evaluated
 from humanpred_ros.evaluation.streams.runs import PERCENTS, VARIANTS, Outcome, StreamRuns
 from humanpred_ros.evaluation.streams.scores import FalseStarts, MotionScore, OnsetFigures, onset_figures
 from humanpred_ros.motion.motion import MotionLibrary

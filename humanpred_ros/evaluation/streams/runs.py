@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from humanpred_ros.errors import HumanPredError, LibraryFormatError
-from humanpred_ros.evaluation.recognition.classifiers import make_evaluated
-from humanpred_ros.evaluation.recognition.scores import decided_right
+from humanpred_ros.evaluation.recognition_runs import make_evaluated
+from humanpred_ros.evaluation.recognition_scores import decided_right
 from humanpred_ros.evaluation.standing import StandingNoise, standing_noise
 from humanpred_ros.evaluation.streams.composed import Placed, Stream, build_stream, returns_home, standing_stream
 from humanpred_ros.evaluation.streams.scores import EventLog, FalseStarts, MotionScore, score_events

@@ -1,4 +1,4 @@
-"""A figure says little alone: the published curve, and what is known about single recordings, stand beside it."""
+"""What lies beside a library: the published recognition curve, and advice on single recordings."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.recognition.scores import PERCENTS, CurveFigures, curve_figures
+from humanpred_ros.evaluation.recognition_scores import PERCENTS, CurveFigures, curve_figures
 from humanpred_ros.geometry.checks import FloatArray
 
 #: Where the papers' data folder keeps them, relative to a library in it.

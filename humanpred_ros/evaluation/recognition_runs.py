@@ -1,34 +1,75 @@
-"""A recogniser is judged on motions it has not learned from; these are the runs, one motion or class left out each."""
+"""The runs of an evaluation of recognition: learn without one motion or class, then see what is said about it."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from types import MappingProxyType
+from typing import TypeAlias
 
 import numpy as np
 
-from humanpred_ros.errors import HumanPredError
-from humanpred_ros.evaluation.recognition.classifiers import ClassifierConfig, make_evaluated, needs_of
-from humanpred_ros.evaluation.recognition.needs import check_needs
-from humanpred_ros.evaluation.recognition.scores import IntArray, percent_indices
+from humanpred_ros.errors import HumanPredError, UsageError
+from humanpred_ros.evaluation.needs import LEARNS_CLASSES, LEARNS_FROM_OTHERS, Needs
+from humanpred_ros.evaluation.recognition_scores import IntArray, percent_indices
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.motion import Motion, MotionLibrary, resample
+from humanpred_ros.reaching.place_classifier import GoalClassifier
+from humanpred_ros.reaching.place_model import GoalConfig
 from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
+from humanpred_ros.recognition.forest_config import ForestConfig
+from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.registry import CLASSIFIERS, make_classifier
 
-#: With one of three left out, two are left: the least that anybody can tell apart.
+#: With one of three classes left out, two are left: the least that can be told apart.
 LEAST_CLASSES_FOR_UNKNOWN = 3
 #: The whole library is fitted again, for the timing, until this much time has passed.
 _FIT_TIMING_S = 1.0
 _MOST_FITS = 5
 
+ClassifierConfig: TypeAlias = ForestConfig | GmmConfig | GoalConfig
+
+#: Infers to which of the classes' places a reach goes.
+REACHING = "reaching"
+#: Names of what can be evaluated, and what they are; the default classifier first.
+EVALUATED: Mapping[str, str] = MappingProxyType(
+    {**CLASSIFIERS, REACHING: "P2's idea: to which of the classes' places would this be a good way?"}
+)
+
+
+def make_evaluated(name: str, config: ClassifierConfig | None = None) -> IntentClassifier:
+    """Return a classifier by name, to be fitted, with its own kind of settings or the default ones.
+
+    Raises:
+        UsageError: unknown name, with the valid ones, or settings of another classifier.
+    """
+    if name not in EVALUATED:
+        raise UsageError(f"classifier: wanted one of {', '.join(EVALUATED)}, got {name!r}")
+    if name == REACHING:
+        if config is not None and not isinstance(config, GoalConfig):
+            raise UsageError(f"classifier {name}: wanted its own settings, got {type(config).__name__}")
+        return GoalClassifier(config=config)
+    if isinstance(config, GoalConfig):
+        raise UsageError(f"classifier {name}: wanted its own settings, got {type(config).__name__}")
+    return make_classifier(name, config)
+
+
+def needs_of(name: str) -> Needs:
+    """Return what a library must have for a classifier to be tested on motions left out of it."""
+    return LEARNS_FROM_OTHERS if name == REACHING else LEARNS_CLASSES
+
+
+def learned_of_class(name: str) -> str:
+    """Return in words what a classifier knows of the class of the motion it is tested on."""
+    return "its place only" if name == REACHING else "its motions"
+
 
 @dataclass(frozen=True)
 class ClassifierChoice:
-    """Which classifier to evaluate: a name of `EVALUATED`, and its settings; None for the default ones."""
+    """A classifier to evaluate: its name, and its settings; None for the default ones."""
 
     name: str
     config: ClassifierConfig | None = None
@@ -36,11 +77,6 @@ class ClassifierChoice:
     def make(self) -> IntentClassifier:
         """Return a new classifier to be fitted. Raises UsageError for an unknown name, or settings of another."""
         return make_evaluated(self.name, self.config)
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """The settings as plain values; empty if they are the default ones."""
-        return {} if self.config is None else asdict(self.config)
 
 
 @dataclass(frozen=True)
@@ -50,8 +86,8 @@ class Trace:
     Attributes:
         known: (100, C) at each percent, the probabilities given that the motion belongs to a class it learned.
         unknown: (100,) the probability of no class.
-        refused: postures the classifier refused; its posterior then stays what it was.
-        update_ns: (T,) how long each update took.
+        refused: number of postures that the classifier refused; its posterior then stays what it was.
+        update_ns: (T,) duration of each update.
     """
 
     known: FloatArray
@@ -66,12 +102,18 @@ class LeftOutMotion:
 
     name: str
 
+    def __str__(self) -> str:
+        return f"motion {self.name}"
+
 
 @dataclass(frozen=True)
 class LeftOutClass:
     """Task: learn without this class, then see what is said about its motions."""
 
     label: int
+
+    def __str__(self) -> str:
+        return f"class {self.label}"
 
 
 Task = LeftOutMotion | LeftOutClass
@@ -84,7 +126,7 @@ class Outcome:
     Attributes:
         traces: of a left-out motion, as recorded and at each further speed; of a left-out class, one for each of
             its motions.
-        fit_s: times of fits of the whole library that this task happened to need.
+        fit_s: durations of the fits of the whole library, in the first task of a process.
         cpu_s: processor time spent, by part.
     """
 
@@ -94,7 +136,7 @@ class Outcome:
 
 
 class LeftOutRuns:
-    """Carries a library to where tasks are run; the classifier fitted to all of it is made there, once."""
+    """Runs tasks; the classifier fitted to the whole library is made once in each process."""
 
     def __init__(self, choice: ClassifierChoice, library: MotionLibrary, speeds: Sequence[float]) -> None:
         """Prepare the runs; `speeds` are further speeds, as factors of the recorded one."""
@@ -146,11 +188,10 @@ class LeftOutRuns:
 
 
 def play(classifier: IntentClassifier, motion: Motion, labels: tuple[int, ...]) -> Trace:
-    """Show a motion to a classifier, posture by posture as a sensor would, and return what it said.
+    """Show a motion to a copy of a classifier, posture by posture as a sensor would, and return what it said.
 
-    It is shown to a copy: what a classifier keeps from one motion to the next, such as where the person stands, must
-    not come from a motion it is tested on. Until the first posture it accepts it has said nothing: all classes
-    `labels`, which it learned, are equal then.
+    A copy, because what a classifier keeps from one motion to the next, such as where the person stands, must not come
+    from a motion it is tested on. Until the first posture it accepts, all `labels`, the classes it learned, are equal.
     """
     classifier = deepcopy(classifier)
     classifier.start()
@@ -194,13 +235,15 @@ def at_speed(motion: Motion, speed: float) -> Motion:
 
 
 def tasks_for(library: MotionLibrary, with_unknown: bool) -> list[Task]:
-    """Return the tasks of an evaluation, the long ones first, motions in the order of the library."""
-    classes: list[Task] = [LeftOutClass(label) for label in library.labels] if with_unknown else []
+    """Return the tasks for one classifier, the long ones first, motions in the order of the library."""
+    classes: list[Task] = []
+    if with_unknown and unknown_left_out(library) is None:
+        classes = [LeftOutClass(label) for label in library.labels]
     return classes + [LeftOutMotion(motion.name) for motion in library]
 
 
 def unknown_left_out(library: MotionLibrary) -> str | None:
-    """Return why no class of a library can be left out whole, in words; None if each can."""
+    """Return why no class of a library can be left out as a whole, in words; None if each can."""
     n = len(library.labels)
     if n >= LEAST_CLASSES_FOR_UNKNOWN:
         return None
@@ -208,8 +251,3 @@ def unknown_left_out(library: MotionLibrary) -> str | None:
         f"leaving out a whole class takes at least {LEAST_CLASSES_FOR_UNKNOWN}, so that two are left to tell apart; "
         f"{library.name} has {n}"
     )
-
-
-def check_evaluable(library: MotionLibrary, classifiers: Iterable[str]) -> None:
-    """Raise LibraryFormatError unless each motion can be left out for each of these classifiers (names)."""
-    check_needs(library, {name: needs_of(name) for name in classifiers}, "--classifier")

@@ -11,34 +11,36 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_library import small_library
 
-from humanpred_ros.errors import ArrayError, LibraryFormatError, MotionError, UsageError
+from humanpred_ros.errors import ArrayError, LibraryFormatError, MotionError, SettingsError, UsageError
+from humanpred_ros.evaluation import recognition
 from humanpred_ros.evaluation.outputs import plain
-from humanpred_ros.evaluation.recognition import evaluation as recognition_evaluation
-from humanpred_ros.evaluation.recognition.evaluation import (
-    EvaluationConfig,
-    evaluate_classifier,
-    n_tasks,
-    unknown_score,
-)
-from humanpred_ros.evaluation.recognition.reference import ReferenceCurve
-from humanpred_ros.evaluation.recognition.result import ClassifierResult
-from humanpred_ros.evaluation.recognition.runs import (
+from humanpred_ros.evaluation.published import ReferenceCurve
+from humanpred_ros.evaluation.recognition import RecognitionSettings, evaluate_classifier
+from humanpred_ros.evaluation.recognition_runs import (
+    EVALUATED,
+    REACHING,
     ClassifierChoice,
     LeftOutClass,
     LeftOutMotion,
     LeftOutRuns,
     at_speed,
+    make_evaluated,
     play,
+    tasks_for,
 )
-from humanpred_ros.evaluation.recognition.scores import PERCENTS, curve_figures
+from humanpred_ros.evaluation.recognition_scores import PERCENTS, ClassifierResult, curve_figures, unknown_score
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.motion import Motion, MotionLibrary
+from humanpred_ros.reaching.place_classifier import GoalClassifier
+from humanpred_ros.reaching.place_model import GoalConfig
 from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
+from humanpred_ros.recognition.forest_config import ForestConfig
 from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.registry import CLASSIFIERS
 
 GMM = ClassifierChoice("gmm", GmmConfig(n_components=2))
 LIBRARY = small_library(n_classes=3, n_motions=4, n_frames=30)
-CONFIG = EvaluationConfig(speeds=(0.8, 1.0), seed=3, jobs=1)
+SETTINGS = RecognitionSettings(library="small", speeds="0.8,1", seed=3, jobs=1)
 
 
 class Recorder(IntentClassifier):
@@ -86,7 +88,7 @@ class RecorderChoice(ClassifierChoice):
 def test_a_left_out_motion_is_not_learned_and_all_others_are(monkeypatch: pytest.MonkeyPatch) -> None:
     learned = []
     monkeypatch.setattr(
-        "humanpred_ros.evaluation.recognition.runs.play",
+        "humanpred_ros.evaluation.recognition_runs.play",
         lambda classifier, motion, labels: learned.append((classifier.learned, motion.name, labels)),
     )
     runs = LeftOutRuns(RecorderChoice(), LIBRARY, (0.8,))
@@ -155,7 +157,7 @@ def test_twice_as_fast_is_every_other_posture_and_half_as_fast_keeps_the_last() 
 def result() -> ClassifierResult:
     reference = ReferenceCurve("made up", np.linspace(0, 1, 100), curve_figures(np.linspace(0, 1, 100)))
     advice = {"0/1": "exclude", "10/2": "suspect", "20/0": "keep"}
-    return evaluate_classifier(GMM, LIBRARY, CONFIG, reference=reference, advice=advice)
+    return evaluate_classifier(GMM, LIBRARY, SETTINGS, reference=reference, advice=advice)
 
 
 def test_easy_reaches_are_recognised(result: ClassifierResult) -> None:
@@ -210,9 +212,8 @@ def test_times_are_measured(result: ClassifierResult) -> None:
 
 def test_the_number_of_jobs_changes_nothing_but_times(result: ClassifierResult) -> None:
     finished: list[int] = []
-    config = replace(CONFIG, jobs=2)
-    again = evaluate_classifier(GMM, LIBRARY, config, progress=finished.append)
-    assert finished == list(range(1, n_tasks(LIBRARY, config) + 1))
+    again = evaluate_classifier(GMM, LIBRARY, SETTINGS.replaced(jobs=2), progress=finished.append)
+    assert finished == list(range(1, len(tasks_for(LIBRARY, True)) + 1))
     again = replace(again, timing=result.timing, groups=result.groups, reference_rms=result.reference_rms)
     assert plain(again) == plain(result)
 
@@ -247,38 +248,57 @@ def test_what_cannot_be_evaluated_is_refused_before_any_work() -> None:
         return small_library(n_classes=n_classes, n_motions=n_motions, n_frames=10)
 
     with pytest.raises(LibraryFormatError, match="class 0 has 2"):
-        evaluate_classifier(GMM, of(3, 2), CONFIG)
+        evaluate_classifier(GMM, of(3, 2), SETTINGS)
     with pytest.raises(LibraryFormatError, match=r"for gmm at least 2 classes to tell apart, got 1; record more$"):
-        evaluate_classifier(GMM, of(1, 4), CONFIG)
+        evaluate_classifier(GMM, of(1, 4), SETTINGS)
     unlabelled = MotionLibrary("mixed", (*of(3, 3).motions, replace(LIBRARY.motions[0], label=None)))
     with pytest.raises(LibraryFormatError, match="-/0 and 0 more have none"):
-        evaluate_classifier(GMM, unlabelled, CONFIG)
+        evaluate_classifier(GMM, unlabelled, SETTINGS)
     with pytest.raises(UsageError, match="nonesuch"):
-        evaluate_classifier(ClassifierChoice("nonesuch"), LIBRARY, CONFIG)
+        SETTINGS.replaced(classifier="nonesuch")
 
 
 def test_of_two_classes_none_is_left_out_whole_and_all_else_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        recognition_evaluation, "map_processes", lambda run, tasks, jobs, progress: list(map(run, tasks))
-    )
+    monkeypatch.setattr(recognition, "map_processes", lambda run, tasks, *others: list(map(run, tasks)))
     two = small_library(n_classes=2, n_motions=2, n_frames=30, there_and_back=True)
-    found = evaluate_classifier(ClassifierChoice("reaching"), two, EvaluationConfig(speeds=(1.0,)))
+    found = evaluate_classifier(ClassifierChoice(REACHING), two, SETTINGS.replaced(speeds="1"))
     assert found.unknown is None
-    assert n_tasks(two, EvaluationConfig()) == 4
+    assert len(tasks_for(two, True)) == 4
     assert found.confusion_at_60.sum() == 4
     assert found.figures.rate_at_60 > 0.5
-    assert n_tasks(LIBRARY, EvaluationConfig()) == 12 + 3
+    assert len(tasks_for(LIBRARY, True)) == 12 + 3
+
+
+def test_every_classifier_can_be_evaluated_and_reaching_too() -> None:
+    assert list(EVALUATED) == [*CLASSIFIERS, REACHING]
+    made = make_evaluated(REACHING, GoalConfig(n_postures=7))
+    assert isinstance(made, GoalClassifier)
+    assert made.config.n_postures == 7
+
+
+@pytest.mark.parametrize(
+    ("name", "config"), [(REACHING, GmmConfig()), ("forest", GoalConfig()), ("gmm", ForestConfig()), ("none", None)]
+)
+def test_unknown_names_and_foreign_settings_are_refused(name: str, config: GmmConfig | GoalConfig | None) -> None:
+    with pytest.raises(UsageError, match=r"wanted (its own settings|one of forest, gmm, reaching)"):
+        make_evaluated(name, config)
+
+
+def test_a_left_out_motion_is_judged_with_its_place_and_a_left_out_class_without() -> None:
+    runs = LeftOutRuns(ClassifierChoice(REACHING), small_library(3, 4, 30, there_and_back=True), (1.4,))
+    traces = runs(LeftOutMotion("10/1")).traces
+    assert [trace.known.shape for trace in traces] == [(100, 3)] * 2
+    assert traces[0].known[65].argmax() == 1
+    assert {trace.known.shape for trace in runs(LeftOutClass(10)).traces} == {(100, 2)}
 
 
 def test_what_a_classifier_cannot_learn_is_told_in_its_words() -> None:
     too_many = ClassifierChoice("gmm", GmmConfig(n_components=500))
     with pytest.raises(LibraryFormatError, match="use fewer components"):
-        evaluate_classifier(too_many, LIBRARY, CONFIG)
+        evaluate_classifier(too_many, LIBRARY, SETTINGS)
 
 
-@pytest.mark.parametrize("speeds", [(0.0,), (1.0, -1.0), (float("nan"),), (float("inf"),)])
-def test_impossible_settings_are_refused(speeds: tuple[float, ...]) -> None:
-    with pytest.raises(UsageError, match="speeds"):
-        EvaluationConfig(speeds)
-    with pytest.raises(UsageError, match="seed"):
-        EvaluationConfig(seed=-1)
+@pytest.mark.parametrize("speeds", ["0", "1,-1", "nan", "inf", "1;2", ""])
+def test_impossible_speeds_are_refused(speeds: str) -> None:
+    with pytest.raises(SettingsError, match="speeds"):
+        SETTINGS.replaced(speeds=speeds)

@@ -8,9 +8,8 @@ import pytest
 from small_library import small_library
 
 from humanpred_ros.errors import LibraryFormatError
-from humanpred_ros.evaluation.recognition.classifiers import EVALUATED, REACHING, needs_of
-from humanpred_ros.evaluation.recognition.needs import LEARNS_CLASSES, LEARNS_FROM_OTHERS, Needs, check_needs
-from humanpred_ros.evaluation.recognition.runs import unknown_left_out
+from humanpred_ros.evaluation.needs import LEARNS_CLASSES, LEARNS_FROM_OTHERS, Needs, check_needs
+from humanpred_ros.evaluation.recognition_runs import EVALUATED, REACHING, needs_of, unknown_left_out
 from humanpred_ros.motion.motion import MotionLibrary
 
 ENTRIES: dict[str, Needs | None] = {"trees": LEARNS_CLASSES, "places": LEARNS_FROM_OTHERS, "now": None}

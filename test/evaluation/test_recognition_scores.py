@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from humanpred_ros.evaluation.recognition.scores import (
+from humanpred_ros.evaluation.recognition_scores import (
     auroc,
     brier_score,
     calibration,

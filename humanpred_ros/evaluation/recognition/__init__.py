@@ -1,1 +1,0 @@
-"""How early and surely motions are recognised (`humanpred evaluate recognition`)."""
