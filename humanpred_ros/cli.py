@@ -29,7 +29,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "generate": ("commands:generate", "make a synthetic motion library by simulation"),
     "report": ("commands:report", "write the HTML report of a recorded run"),
     "replay": ("commands:replay", "feed a run's recorded occupancy to a fresh planner and compare its decisions"),
-    "evaluate recognition": ("evaluation.recognition:run", "how early and how surely a reach is recognised (P1 Fig. 6)"),
+    "evaluate recognition": (
+        "evaluation.recognition:run",
+        "how early and surely a reach is recognised (P1 Fig. 6)",
+    ),
     "evaluate occupancy": ("evaluation.occupancy.command:run", "predicted occupancy against the voxels really swept"),
     "evaluate streams": (
         "evaluation.streams.command:run",

@@ -325,17 +325,16 @@ def progress_lines(console: Console) -> Iterator[Begin]:
         yield begin
 
 
-def chosen_names(text: str, known: Iterable[str], what: str) -> tuple[str, ...]:
-    """Return names that were given with commas between, each once; all known ones for "all".
+def chosen_names(names: Sequence[str], known: Iterable[str], what: str) -> tuple[str, ...]:
+    """Return names, each once; all known ones for "all".
 
     Raises:
         UsageError: an unknown name, or none; `what` says what they name.
     """
     known = tuple(known)
-    names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
-    if names == ("all",):
+    if tuple(names) == ("all",):
         return known
     unknown = [name for name in names if name not in known]
     if unknown or not names:
         raise UsageError(f"{what}: wanted all, or some of {', '.join(known)}, got {', '.join(unknown) or 'none'}")
-    return names
+    return tuple(dict.fromkeys(names))

@@ -17,7 +17,6 @@ from typing import Any, Literal
 import numpy as np
 from rich.console import Console
 
-from humanpred_ros.errors import SettingsError
 from humanpred_ros.evaluation.framework import (
     Advance,
     Begin,
@@ -83,13 +82,15 @@ _UNKNOWN_AT = (10, 30, 60, 90)
 class RecognitionSettings(LibrarySettings):
     """Settings of `humanpred evaluate recognition`."""
 
-    classifier: str = setting("all", "classifiers, with commas between; all for all that are installed, and reaching")
+    classifier: tuple[str, ...] = setting(("all",), "classifiers by name; all: those that are installed, and reaching")
     reference: str | None = setting(
         None,
         "published curve to compare with, a CSV file of phase_percent and recognition_rate; none for no curve; by "
         "default reference/authors_fig6_curve.csv beside the library, if it is there",
     )
-    speeds: str = setting("0.7,1,1.4", "play the motions at these factors of their speed, too; commas between")
+    speeds: tuple[float, ...] = setting(
+        (0.7, 1.0, 1.4), "play the motions at these factors of their speed, too", low=0.01, high=100.0
+    )
     unknown: bool = setting(True, "leave out each class as a whole, too, if there are three classes or more")
     components: int = setting(GmmConfig.n_components, "gmm: Gaussians per class", low=1)
     phase: bool = setting(True, "gmm: the phase is a feature beside the posture")
@@ -97,24 +98,14 @@ class RecognitionSettings(LibrarySettings):
     window_frames: int = setting(0, "gmm: count only so many last postures; 0 counts all", low=0)
 
     def check(self) -> None:
-        """Raise SettingsError for speeds that are none, and UsageError for unknown classifiers."""
-        if not all(0 < speed < float("inf") for speed in self._speeds()):
-            raise SettingsError(f"speeds: wanted positive factors, got {self.speeds}")
+        """Raise UsageError for unknown classifiers."""
         for choice in self.choices:
             choice.make()
-
-    def _speeds(self) -> tuple[float, ...]:
-        try:
-            return tuple(float(part) for part in self.speeds.split(","))
-        except ValueError:
-            raise SettingsError(
-                f"speeds: wanted numbers with commas between, as in 0.7,1,1.4, got {self.speeds!r}"
-            ) from None
 
     @property
     def further_speeds(self) -> tuple[float, ...]:
         """The speeds other than the recorded one, each once, ascending."""
-        return tuple(sorted(set(self._speeds()) - {1.0}))
+        return tuple(sorted(set(self.speeds) - {1.0}))
 
     @property
     def choices(self) -> tuple[ClassifierChoice, ...]:

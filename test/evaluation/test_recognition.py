@@ -23,7 +23,7 @@ CURVE = "phase_percent,recognition_rate\n" + "".join(f"{p},{p / 100}\n" for p in
 ADVICE = (
     "set,class,traj_id,reason,advice\nlib,0,1,gone wild,exclude or relabel\nlib,1,2,odd,suspect\nother,1,0,x,exclude\n"
 )
-GMM = {"classifier": "gmm", "components": 2, "jobs": 1}
+GMM = {"classifier": ("gmm",), "components": 2, "jobs": 1}
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def test_everything_printed_is_in_the_json(library: Path, tmp_path: Path) -> Non
     (library.parent / "reference" / "authors_fig6_curve.csv").write_text(CURVE, encoding="utf-8")
     (library.parent / "outliers.csv").write_text(ADVICE, encoding="utf-8")
     json_file, plot_file = tmp_path / "figures.json", tmp_path / "figures.png"
-    printed = evaluate(library, **GMM, speeds="1,1.3", seed=5, json=json_file, plot=plot_file)
+    printed = evaluate(library, **GMM, speeds=(1, 1.3), seed=5, json=json_file, plot=plot_file)
     found: dict[str, Any] = json.loads(json_file.read_text(encoding="utf-8"))
     (gmm,) = found["classifiers"]
     assert f"{100 * gmm['figures']['rate_at_60']:.1f} %" in printed
@@ -56,7 +56,7 @@ def test_everything_printed_is_in_the_json(library: Path, tmp_path: Path) -> Non
     assert "AUROC" not in printed, "says nothing about unknown motions"
     assert "excluded only (1)" in printed
     assert found["settings"]["seed"] == gmm["settings"]["seed"] == 5
-    assert found["settings"]["speeds"] == "1,1.3"
+    assert found["settings"]["speeds"] == [1.0, 1.3]
     assert found["library"]["name"] == "lib"
     assert found["library"]["n_motions"] == 9
     assert found["machine"]["usable_cores"] >= 1
@@ -71,7 +71,7 @@ def test_a_bag_gives_the_same_figures_as_the_csv_folder(library: Path, tmp_path:
     bag = write_library_bag(small_library(n_classes=3, n_motions=3, n_frames=20), tmp_path / "lib")
     files = [tmp_path / "csv.json", tmp_path / "bag.json"]
     for path, file in zip((library, bag), files, strict=True):
-        evaluate(path, **GMM, speeds="1", unknown=False, reference="none", json=file)
+        evaluate(path, **GMM, speeds=(1,), unknown=False, reference="none", json=file)
     one, two = (json.loads(file.read_text(encoding="utf-8"))["classifiers"][0] for file in files)
     assert one["rate"] == two["rate"]
     assert one["log_loss"] == pytest.approx(two["log_loss"])
@@ -80,7 +80,7 @@ def test_a_bag_gives_the_same_figures_as_the_csv_folder(library: Path, tmp_path:
 @pytest.mark.parametrize(
     ("settings", "complaint"),
     [
-        ({"classifier": "oracle"}, r"wanted .*gmm.*got oracle"),
+        ({"classifier": ("oracle",)}, r"wanted .*gmm.*got oracle"),
         ({"reference": "nothing.csv"}, "nothing.csv.*cannot be read"),
         ({"components": 0}, "components.*at least 1"),
         ({"evidence": "product"}, "evidence.*'sum' or 'mean'.*product"),
@@ -138,7 +138,7 @@ def test_the_published_curve_has_the_published_figures() -> None:
 def test_of_two_classes_the_unknown_motions_are_left_out_and_that_is_said(tmp_path: Path) -> None:
     write_csv_library(small_library(2, 2, 30, there_and_back=True), tmp_path / "small")
     json_file, plot_file = tmp_path / "figures.json", tmp_path / "figures.png"
-    settings = {"classifier": "reaching", "jobs": 1, "speeds": "1"}
+    settings = {"classifier": ("reaching",), "jobs": 1, "speeds": (1,)}
     printed = evaluate(tmp_path / "small", **settings, json=json_file, plot=plot_file)
     found = json.loads(json_file.read_text(encoding="utf-8"))
     assert found["unknown_left_out"] in " ".join(printed.split())
