@@ -76,7 +76,9 @@ def read_marker_file(path: Path, rate_hz: float | None = None) -> MarkerRecordin
         t_s = np.arange(len(points)) / rate_hz
     if not np.isfinite(t_s).all() or (np.diff(t_s) <= 0).any():
         k = int(np.argmax(~(np.diff(t_s) > 0)))
-        raise LibraryFormatError(f"{path}: wanted rising times, got {t_s[k]} s and then {t_s[k + 1]} s in frame {k + 1}")
+        raise LibraryFormatError(
+            f"{path}: wanted rising times, got {t_s[k]} s and then {t_s[k + 1]} s in frame {k + 1}"
+        )
     hidden = ~np.isfinite(points).all(axis=2) | (points == 0.0).all(axis=2)
     return MarkerRecording(path, tuple(names), np.where(hidden[..., None], np.nan, points), t_s, unit)
 
@@ -105,7 +107,13 @@ def _read_c3d(path: Path) -> _Content:
     except (OSError, ValueError, KeyError, IndexError, RuntimeError) as trouble:
         raise LibraryFormatError(f"{path}: wanted a C3D file with markers, it cannot be read ({trouble})") from trouble
     labels += [f"*{k}" for k in range(len(labels), points.shape[1])]
-    return labels[: points.shape[1]], np.where(lost[..., None], np.nan, points), None, units[0] if units else None, rate_hz
+    return (
+        labels[: points.shape[1]],
+        np.where(lost[..., None], np.nan, points),
+        None,
+        units[0] if units else None,
+        rate_hz,
+    )
 
 
 def _read_trc(path: Path) -> _Content:
@@ -136,7 +144,9 @@ def _read_csv(path: Path) -> _Content:
         return names, points, None, units.pop() if len(units) == 1 else None, float(rate) if _is_number(rate) else None
     lacking = sorted(marker for marker, axes in found.items() if len(axes) < 3)
     if lacking:
-        raise LibraryFormatError(f"{path}: wanted the columns x, y and z of each marker, some of {lacking[0]} are missing")
+        raise LibraryFormatError(
+            f"{path}: wanted the columns x, y and z of each marker, some of {lacking[0]} are missing"
+        )
     times = [title for title in header if title.lower() in _TIMES][:1]
     titles = [title for axes in found.values() for title in (axes["x"], axes["y"], axes["z"])]
     table = read_table(path, [*times, *titles], gaps=True)
