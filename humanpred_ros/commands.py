@@ -33,7 +33,7 @@ def train(settings: TrainSettings, console: Console) -> int:
     """Learn a model from a motion library."""
     from humanpred_ros.human.model import human_with
     from humanpred_ros.motion.library_io import load_library
-    from humanpred_ros.recognition.gmm_config import GmmConfig
+    from humanpred_ros.recognition.gmm_config import GmmSettings
     from humanpred_ros.recognition.model_file import save_model
     from humanpred_ros.recognition.training import train_model
 
@@ -41,7 +41,7 @@ def train(settings: TrainSettings, console: Console) -> int:
     if settings.hold_out:
         held_out = {m.name for label in library.labels for m in library.of_class(label)[: settings.hold_out]}
         library = library.select(lambda motion: motion.name not in held_out)
-    config = GmmConfig(n_components=settings.components, phase_feature=settings.phase, seed=settings.seed)
+    config = GmmSettings(n_components=settings.components, phase_feature=settings.phase, seed=settings.seed)
     with console.status(f"training on {len(library)} motions of {library.name}"):
         model = train_model(library, human_with(library.dof_names), config)
     save_model(model, settings.out)
