@@ -1,8 +1,8 @@
-"""Reaches to begin planning with: STOMP stays near them, so a good one is worth more than good weights.
+"""Reaches to begin planning with. STOMP stays near its first guess, so a good one matters more than good weights.
 
 P2 begins with the straight line in posture space, at constant speed. The angles of a shoulder are no coordinates to go
-straight in, though: far from small angles they turn a lot where the arm turns little, and the elbow bows out. Turning
-the shoulder's rotation the short way, with minimum-jerk timing, is nearer to what people do and needs no learning.
+straight in, though: far from small angles they change a lot where the arm moves little, and the elbow swings out.
+Turning the shoulder's rotation about one axis, with minimum-jerk timing, is nearer to what people do.
 """
 
 from __future__ import annotations
@@ -15,14 +15,13 @@ from scipy.spatial.transform import Rotation, Slerp
 from humanpred_ros.errors import HumanModelError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.reaching.trivial import minimum_jerk
 
-#: Makes a reach from start (J,) to goal (J,) at phases (n,) from 0 to 1: (n, J).
+#: Makes a reach (n, J) from start (J,) to goal (J,) at phases (n,) from 0 to 1.
 FirstGuess = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 #: The three rotations of the right shoulder, by the names of the 23-DoF and of the 12-DoF human.
 SHOULDERS = (("rShoulderY1", "rShoulderX", "rShoulderY2"), ("rShoulderX", "rShoulderZ", "rShoulderY"))
 _SAME = 1e-6
-#: Closer to a rotation where the angles are not unique they change too fast to be followed, rad.
+#: Closer than this to a rotation where the angles are not unique they change too fast to be followed, rad.
 _LOCKED_RAD = 0.05
 
 
@@ -33,11 +32,17 @@ def straight_line(start: FloatArray, goal: FloatArray, phase: FloatArray) -> Flo
     return line
 
 
-class ShortShoulder:
-    """The straight line, but for the shoulder's rotation, which turns about one axis; minimum-jerk timing.
+def minimum_jerk(phase: FloatArray) -> FloatArray:
+    """Return the share of the way (n,) at phases (n,) with the least integral of squared jerk, at rest at both ends."""
+    profile: FloatArray = phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2)
+    return profile
 
-    Where that would reach the goal's rotation with other angles (a whole turn apart), or pass close to where two of the
-    angles turn about the same axis, the angles go straight.
+
+class ShortShoulder:
+    """The straight line with minimum-jerk timing, except for the shoulder, which turns about one fixed axis.
+
+    The shoulder's angles go straight, too, where that turn would end with angles a whole turn off the goal's, or would
+    pass close to where two of the angles turn about the same axis.
 
     Args:
         model: the human.
@@ -73,12 +78,10 @@ class ShortShoulder:
         ends = Rotation.from_euler(self._sequence, np.stack([first, last]) * self._sign)
         turned = Slerp([0.0, 1.0], ends)(done)
         # The cosine of the middle angle, or its sine: this element is 1 or -1 where the outer axes coincide.
-        if np.abs(turned.as_matrix()[:, self._row, self._column]).max() > np.cos(_LOCKED_RAD):
-            reach[0], reach[-1] = start, goal
-            return reach
-        angles = self._continued(turned.as_euler(self._sequence) * self._sign, first)
-        if np.abs(angles[-1] - last).max() < _SAME:
-            reach[:, self._columns] = angles
+        if np.abs(turned.as_matrix()[:, self._row, self._column]).max() <= np.cos(_LOCKED_RAD):
+            angles = self._continued(turned.as_euler(self._sequence) * self._sign, first)
+            if np.abs(angles[-1] - last).max() < _SAME:
+                reach[:, self._columns] = angles
         reach[0], reach[-1] = start, goal
         return reach
 

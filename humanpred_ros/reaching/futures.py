@@ -18,7 +18,7 @@ from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.occupancy.forecast_config import MOST_FUTURES
 from humanpred_ros.reaching.end_postures import EndPosture, standing
-from humanpred_ros.reaching.planner import ReachPlanner, ReachPlannerConfig, unit_deviation
+from humanpred_ros.reaching.planner import ReachPlanner, ReachPlannerSettings, unit_deviation
 from humanpred_ros.reaching.posture_bounds import PostureBounds
 from humanpred_ros.reaching.progress import ReachProgress
 from humanpred_ros.reaching.reach_model import ReachModel
@@ -86,7 +86,7 @@ class ReachFutures:
         human = model.human
         deviation = np.sqrt(np.diag(model.shape.variation)) / unit_deviation(c.stomp.waypoints)
         noise = tuple(np.clip(deviation, _LEAST_NOISE, _MOST_NOISE).tolist())
-        planning = ReachPlannerConfig(c.stomp.replaced(noise_std=noise), obstacle_weight=c.obstacle_weight)
+        planning = ReachPlannerSettings(stomp=c.stomp.replaced(noise_std=noise), obstacle_weight=c.obstacle_weight)
         bounds = PostureBounds(human.lower, human.upper, np.zeros(len(human.dof_names), dtype=np.bool_))
         self._planner = ReachPlanner(human, weights, bounds, scene or Surroundings.empty(), planning)
         self._nobody = self._planner.nobody()

@@ -1,12 +1,12 @@
-"""Predicting a reach by planning it: what would somebody do who minimises the learned cost (P2 III-D)?
+"""Plans the reach of somebody who minimises the learned cost (P2 III-D).
 
-STOMP of `planning` plans the whole body of the human from where the reach starts to where it ends, beside a partner who
-holds still. Chance makes every prediction another one; how much they differ says how sure they are.
+STOMP plans the whole body of the human from where the reach starts to where it ends, beside a partner who stands still.
+Every plan is a different one by its random noise; how much plans differ says how certain they are.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -18,17 +18,13 @@ from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.human.chain_points import ChainPoints
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching.body import BodyCapsules, ReachBody
-from humanpred_ros.reaching.cost_terms import (
-    CLEARANCE_M,
-    OBSTACLE_WEIGHT,
-    BodyCost,
-    PostureSmoothness,
-)
+from humanpred_ros.reaching.cost_terms import CLEARANCE_M, OBSTACLE_WEIGHT, BodyCost, PostureSmoothness
+from humanpred_ros.reaching.demonstrations import resampled
 from humanpred_ros.reaching.features import LINK_POINTS, N_FEATURES, FeatureSettings, ReachSituation
 from humanpred_ros.reaching.first_guess import FirstGuess, straight_line
 from humanpred_ros.reaching.posture_bounds import PostureBounds
-from humanpred_ros.reaching.reach_task import ReachTask
 from humanpred_ros.reaching.surroundings import Surroundings
+from humanpred_ros.settings import Settings, setting
 from humanpred_ros.stomp import iteration_kernels
 from humanpred_ros.stomp.config import StompConfig
 from humanpred_ros.stomp.planner import StompPlanner
@@ -38,37 +34,27 @@ from humanpred_ros.stomp.smoothness import smoothness
 _FAR_M = 1e3
 
 
-@dataclass(frozen=True)
-class ReachPlannerConfig:
-    """How reaches are planned; defaults are P2's (facts section 6).
+class ReachPlannerSettings(Settings):
+    """How reaches are planned; defaults are P2's (docs/papers.md, "P2 prediction")."""
 
-    Attributes:
-        stomp: of the planner; the weights in it are not used.
-        noise_share: the noise of a DoF in the middle of a reach is at most this share of half its range. A translation
-            that may go 0.05 m would otherwise get noise of 0.07 m and be pushed back at every roll-out; P2's code
-            shrinks such noise until it fits.
-        obstacle_weight, clearance_m: of table and partner.
-        averaged: a plan is the mean of so many, each with its own chance: what they agree on remains.
-    """
-
-    stomp: StompConfig = field(
-        default_factory=lambda: StompConfig(waypoints=100, iterations=100, rollouts=10, reused=5, noise_std=0.001)
+    stomp: StompConfig = setting(
+        StompConfig(waypoints=100, iterations=100, rollouts=10, reused=5, noise_std=0.001),
+        "Settings of STOMP; the weights in them are not used",
     )
-    noise_share: float = 0.5
-    obstacle_weight: float = OBSTACLE_WEIGHT
-    clearance_m: float = CLEARANCE_M
-    averaged: int = 1
-
-    def __post_init__(self) -> None:
-        if self.averaged < 1 or not self.noise_share > 0.0:
-            raise PlanningError(
-                f"reach planning: wanted averaged >= 1 and noise_share > 0, got {self.averaged} and {self.noise_share}"
-            )
+    noise_share: float = setting(
+        0.5,
+        "The noise of a DoF in the middle of a reach is at most this share of half its range; a translation that may "
+        "go 0.05 m would otherwise get noise of 0.07 m and be pushed back in every rollout",
+        low=1e-6,
+    )
+    obstacle_weight: float = setting(OBSTACLE_WEIGHT, "Weight of table and partner as obstacles", low=0.0)
+    clearance_m: float = setting(CLEARANCE_M, "Distance below which an obstacle costs", unit="m", low=1e-6)
+    averaged: int = setting(1, "A plan is the mean of this many, each with its own noise", low=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Partner:
-    """Somebody beside the reaching person, in the posture of one moment.
+    """The person beside the reaching one, in the posture of one moment.
 
     Attributes:
         points_m: (4, 3) of `LINK_POINTS`, for the features.
@@ -81,14 +67,14 @@ class Partner:
 
 @dataclass(frozen=True, eq=False)
 class PlannedReach:
-    """A predicted reach.
+    """A planned reach.
 
     Attributes:
         q: (N, J) postures, evenly in time.
         duration_s: from the first to the last.
         cost: shares of the cost: posture, body (wrist, partner and obstacles).
         total: their sum.
-        iterations: of the planner.
+        iterations: of STOMP.
     """
 
     q: FloatArray
@@ -109,12 +95,12 @@ class ReachPlanner:
         model: the human who reaches; the partner has the same kinematics.
         weights: (24,) of the features, 0 or more.
         bounds: of the postures.
-        scene: table and region; P2's if None.
-        config: of the planning.
+        surroundings: table and region; P2's if None.
+        settings: of the planning.
         guess: what planning begins with where nothing else is given.
 
     Raises:
-        PlanningError: weights that cannot be.
+        PlanningError: negative weights, or an array of another shape.
     """
 
     def __init__(
@@ -122,8 +108,8 @@ class ReachPlanner:
         model: HumanModel,
         weights: ArrayLike,
         bounds: PostureBounds,
-        scene: Surroundings | None = None,
-        config: ReachPlannerConfig | None = None,
+        surroundings: Surroundings | None = None,
+        settings: ReachPlannerSettings | None = None,
         guess: FirstGuess = straight_line,
     ) -> None:
         w = checked("reach weights", weights, (N_FEATURES,), error=PlanningError)
@@ -131,23 +117,23 @@ class ReachPlanner:
             raise PlanningError(f"reach weights: wanted 0 or more, got {w.min()}")
         self.model, self.bounds, self.guess = model, bounds, guess
         self.weights: FloatArray = frozen(w)  # type: ignore[assignment]
-        self.scene = scene or Surroundings.of_p2()
-        self.config = config or ReachPlannerConfig()
-        self.features = FeatureSettings(n_waypoints=self.config.stomp.waypoints)
+        self.surroundings = surroundings or Surroundings.of_p2()
+        self.settings = settings or ReachPlannerSettings()
+        self._features = FeatureSettings(n_waypoints=self.settings.stomp.waypoints)
         self._body = ReachBody(model)
         self._partner_points = ChainPoints(model, LINK_POINTS)
         self._partner_capsules = BodyCapsules.of(model)
 
     def partner(self, q: ArrayLike) -> Partner:
-        """Return a partner in posture (J,); worth keeping where several reaches are planned beside it."""
+        """Return a partner in posture (J,); keep it where several reaches are planned beside it."""
         posture = checked("partner", q, (len(self.model.dof_names),), error=MotionError)
         ends = self._partner_capsules.placed(self.model, posture)
         points = np.asarray(self._partner_points.positions(posture), dtype=np.float64)
-        return Partner(points, self.scene.field_with(ends, self._partner_capsules.radius_m))
+        return Partner(points, self.surroundings.field_with(ends, self._partner_capsules.radius_m))
 
     def nobody(self) -> Partner:
-        """Return what stands for a partner where there is none: too far away to count."""
-        return Partner(np.full((len(LINK_POINTS), 3), _FAR_M), self.scene.field)
+        """Return what stands for a partner where there is none: a person too far away to count."""
+        return Partner(np.full((len(LINK_POINTS), 3), _FAR_M), self.surroundings.field)
 
     def plan(
         self,
@@ -159,13 +145,13 @@ class ReachPlanner:
         history: ArrayLike | None = None,
         initial: ArrayLike | None = None,
     ) -> PlannedReach:
-        """Return the best reach that the planner met.
+        """Return the best reach that STOMP found.
 
         Args:
             start, goal: (J,) first and last posture, angles continuous from one to the other.
             duration_s: of the reach.
-            partner: who holds still.
-            rng: source of all chance.
+            partner: who stands still beside.
+            rng: source of all randomness.
             history: (6, J) postures at the waypoints' spacing before the start, the latest last; None for a person
                 at rest.
             initial: (N, J) reach to begin with; the first guess if None.
@@ -173,7 +159,7 @@ class ReachPlanner:
         Raises:
             MotionError: arrays or numbers that do not fit.
         """
-        n, J = self.config.stomp.waypoints, len(self.model.dof_names)
+        n, J = self.settings.stomp.waypoints, len(self.model.dof_names)
         first, last = (checked(k, v, (J,), error=MotionError) for k, v in (("start", start), ("goal", goal)))
         past = None if history is None else checked("history", history, ("H", J), error=MotionError)
         lower, upper = self.bounds.around(first, last)
@@ -182,12 +168,12 @@ class ReachPlanner:
         else:
             begin = np.array(checked("initial reach", initial, (n, J), error=MotionError))
         begin[0], begin[-1] = first, last
-        planner = StompPlanner(self._terms(first, duration_s, partner, past), lower, upper, self.config.stomp)
+        planner = StompPlanner(self._terms(first, duration_s, partner, past), lower, upper, self.settings.stomp)
         noise = self._noise(lower, upper)
-        if self.config.averaged == 1:
+        if self.settings.averaged == 1:
             planned = planner.plan(begin, rng, noise_std=noise)
         else:
-            plans = [planner.plan(begin, source, noise_std=noise) for source in rng.spawn(self.config.averaged)]
+            plans = [planner.plan(begin, source, noise_std=noise) for source in rng.spawn(self.settings.averaged)]
             mean = np.mean([plan.waypoints for plan in plans], axis=0)
             planned = planner.assess(mean, sum(plan.iterations for plan in plans))
         return PlannedReach(planned.waypoints, duration_s, planned.cost, planned.total, planned.iterations)
@@ -195,20 +181,20 @@ class ReachPlanner:
     def _terms(
         self, first: FloatArray, duration_s: float, partner: Partner, past: FloatArray | None
     ) -> tuple[PostureSmoothness, BodyCost]:
-        cfg, n = self.config, self.config.stomp.waypoints
+        s, n = self.settings, self.settings.stomp.waypoints
         situation = ReachSituation(duration_s, partner.points_m, past)
         return (
             PostureSmoothness(self.weights[:4], duration_s, n, first, past),
             BodyCost(
-                self._body, self.weights, situation, n, first, partner.field, cfg.obstacle_weight, cfg.clearance_m,
-                self.features,
+                self._body, self.weights, situation, n, first, partner.field, s.obstacle_weight, s.clearance_m,
+                self._features,
             ),
         )  # fmt: skip
 
     def _noise(self, lower: FloatArray, upper: FloatArray) -> FloatArray:
         """Return the scale of the noise of each DoF (J,), no more than fits its bounds."""
-        most = self.config.noise_share * 0.5 * (upper - lower) / unit_deviation(self.config.stomp.waypoints)
-        noise: FloatArray = np.minimum(self.config.stomp.noise_std, most)
+        most = self.settings.noise_share * 0.5 * (upper - lower) / unit_deviation(self.settings.stomp.waypoints)
+        noise: FloatArray = np.minimum(self.settings.stomp.noise_std, most)
         return noise
 
 
@@ -220,34 +206,3 @@ def unit_deviation(n_waypoints: int) -> float:
     middle[smooth.n_free // 2] = 1.0
     iteration_kernels.solve(smooth.factor, middle)
     return float(np.sqrt(middle[smooth.n_free // 2, 0]))
-
-
-@dataclass(frozen=True)
-class SingleShot:
-    """Predicts a reach by one plan beside the partner's first posture."""
-
-    planner: ReachPlanner
-
-    def predict(self, task: ReachTask, rng: np.random.Generator) -> FloatArray:
-        """Return the postures (n, J) at the task's stamps.
-
-        Raises:
-            HumanModelError: a task for another human.
-        """
-        q: FloatArray = self.samples(task, rng, 1)[0]
-        return q
-
-    def samples(self, task: ReachTask, rng: np.random.Generator, count: int) -> FloatArray:
-        """Return `count` predictions (count, n, J) that differ by chance."""
-        self.planner.model.check_dofs(task.dof_names)
-        partner = self.planner.partner(task.partner.q[0])
-        reaches = [
-            self.planner.plan(task.start, task.goal, task.duration_s, partner, source) for source in rng.spawn(count)
-        ]
-        return np.stack([reach.at(task.t_s - task.t_s[0]) for reach in reaches])
-
-
-def resampled(t_s: FloatArray, q: FloatArray, wanted_s: FloatArray) -> FloatArray:
-    """Return postures (T, J) at times (T,), interpolated between postures (n, J) at times (n,)."""
-    postures: FloatArray = np.stack([np.interp(wanted_s, t_s, column) for column in q.T], axis=-1)
-    return postures

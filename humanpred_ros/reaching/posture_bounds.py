@@ -1,9 +1,10 @@
-"""How far each DoF of a predicted reach may go: as far as demonstrations did and a little farther (facts section 3).
+"""How far each DoF of a predicted reach may go, and how much people vary it: learned from recordings.
 
-P2 takes that as places in the room. People stand elsewhere from reach to reach, so such bounds say where they stood
-rather than how far a reach moves them: P2's seven people stay within 0.01 m of the way from their first to their last
-place and stood 0.2 m apart, and that room is where a planner lets the trunk drift to. Bounds relative to the ends of
-the reach say how far it moves them, wherever they stand.
+P2 bounds each DoF by what the demonstrations did, with margins (docs/papers.md, "P2 prediction"). For the pelvis these
+are bounds in the room. People stand elsewhere from reach to reach, so such bounds say where they stood rather than how
+far a reach moves them: P2's seven people stay within 0.01 m of the way from their first to their last place and stood
+0.2 m apart, and a planner lets the trunk drift through that room. Bounds relative to the ends of the reach say how far
+a reach moves people, wherever they stand.
 """
 
 from __future__ import annotations
@@ -13,39 +14,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from humanpred_ros.errors import GoalUnreachableError, MotionError, UsageError
+from humanpred_ros.errors import GoalUnreachableError, MotionError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
+from humanpred_ros.reaching.first_guess import minimum_jerk, straight_line
+from humanpred_ros.settings import Settings, setting
+
+#: A goal that is so far beyond its bounds, in metres or radians, is one that nobody reaches from where the
+#: demonstrations happened; people on both sides of P2's table differ by up to 0.9 m and 1.8 rad.
+OUT_OF_REACH = 2.0
 
 
-@dataclass(frozen=True)
-class BoundsConfig:
-    """Margins beyond what demonstrations used (facts section 3).
+class BoundsSettings(Settings):
+    """Margins beyond what demonstrations did."""
 
-    Attributes:
-        translation_m: of all translations: pelvis, shoulder, lengths of the bones.
-        pelvis_rad: of the pelvis' rotations.
-        rotation_rad: of all other rotations; None leaves them free, as P2 does.
-        out_of_reach: a goal that is so far beyond its bounds, in metres or radians, is one that nobody reaches from
-            where demonstrations happened; people on both sides of P2's table differ by up to 0.9 m and 1.8 rad.
-        relative: bound how far a reach leaves the way between its two ends instead of where it is (not in P2).
-
-    Raises:
-        UsageError: margins that are not positive.
-    """
-
-    translation_m: float = 0.02
-    pelvis_rad: float = 0.05
-    rotation_rad: float | None = None
-    out_of_reach: float = 2.0
-    relative: bool = False
-
-    def __post_init__(self) -> None:
-        margins = [self.translation_m, self.pelvis_rad, self.out_of_reach]
-        margins += [] if self.rotation_rad is None else [self.rotation_rad]
-        if not all(np.isfinite(margin) and margin > 0.0 for margin in margins):
-            raise UsageError(f"posture bounds: wanted positive margins, got {', '.join(map(str, margins))}")
+    translation_m: float = setting(
+        0.02, "Margin of all translations: pelvis, shoulder, lengths of bones", unit="m", low=1e-6
+    )
+    pelvis_rad: float = setting(0.05, "Margin of the rotations of the pelvis", unit="rad", low=1e-6)
+    relative: bool = setting(
+        False, "Bound how far a reach leaves the way between its two ends, instead of where it is (not in P2)"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,11 +44,10 @@ class PostureBounds:
 
     Attributes:
         lower, upper: (J,) metres and radians.
-        free: (J,) rotations without bounds; theirs are half a turn to each side of the reach.
+        free: (J,) rotations without bounds; they may go half a turn beyond both ends of the reach.
         dof_names: J names, for messages; none if left out.
-        out_of_reach: how far beyond its bounds a goal is not believed, in metres or radians.
-        beyond: (2, J) how far a reach may go below the lower and above the upper of its two ends, whatever `lower` and
-            `upper` say, which then only tell whether a goal is to be believed; None to bound by them.
+        beyond: (2, J) how far a reach may go below the lower and above the upper of its two ends; `lower` and `upper`
+            then only tell whether a goal is plausible. None to bound by `lower` and `upper`.
 
     Raises:
         MotionError: arrays that do not fit each other.
@@ -68,7 +57,6 @@ class PostureBounds:
     upper: FloatArray
     free: np.ndarray[tuple[int], np.dtype[np.bool_]]
     dof_names: tuple[str, ...] = ()
-    out_of_reach: float = BoundsConfig.out_of_reach
     beyond: FloatArray | None = None
 
     def __post_init__(self) -> None:
@@ -87,7 +75,7 @@ class PostureBounds:
 
     @classmethod
     def from_recordings(
-        cls, recordings: Sequence[ReachRecording], model: HumanModel, config: BoundsConfig | None = None
+        cls, recordings: Sequence[ReachRecording], model: HumanModel, settings: BoundsSettings | None = None
     ) -> PostureBounds:
         """Return the bounds that the reaching people of recordings kept, with margins.
 
@@ -95,27 +83,20 @@ class PostureBounds:
             MotionError: no recordings.
             HumanModelError: recordings of another human.
         """
-        config = config or BoundsConfig()
+        settings = settings or BoundsSettings()
         if not recordings:
             raise MotionError("posture bounds: wanted at least one recording, got none")
         for recording in recordings:
             model.check_dofs(recording.active.dof_names)
         q = np.concatenate([recording.active.q for recording in recordings])
         slides = np.abs(model.joints.linear).sum(axis=1) > 0.0
-        pelvis = np.array([name.startswith("PelvisRot") for name in model.dof_names])
-        free = ~(slides | pelvis) if config.rotation_rad is None else np.zeros(len(slides), dtype=np.bool_)
-        margin = np.where(slides, config.translation_m, config.pelvis_rad)
-        if config.rotation_rad is not None:
-            margin = np.where(slides | pelvis, margin, config.rotation_rad)
-        margin = np.where(free, np.pi, margin)
-        beyond = _farthest_beyond(recordings) + margin if config.relative else None
-        return cls(q.min(axis=0) - margin, q.max(axis=0) + margin, free, model.dof_names, config.out_of_reach, beyond)
+        free = ~(slides | np.array([name.startswith("PelvisRot") for name in model.dof_names]))
+        margin = np.where(free, np.pi, np.where(slides, settings.translation_m, settings.pelvis_rad))
+        beyond = _farthest_beyond(recordings) + margin if settings.relative else None
+        return cls(q.min(axis=0) - margin, q.max(axis=0) + margin, free, model.dof_names, beyond)
 
     def around(self, start: FloatArray, goal: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return lower and upper bounds (J,) of a reach: both ends are allowed, wherever they are.
-
-        A reach may begin or end beyond what demonstrations did; bounds then give way.
-        """
+        """Return lower and upper bounds (J,) of a reach; they are widened where an end of the reach is beyond them."""
         low, high = np.minimum(start, goal), np.maximum(start, goal)
         if self.beyond is not None:
             below, above = np.where(self.free, np.pi, self.beyond)
@@ -127,26 +108,25 @@ class PostureBounds:
     def check_goal(self, name: str, goal: FloatArray) -> tuple[str, ...]:
         """Return sentences on the DoFs of a goal (J,) that are beyond the bounds, each with the reach's name.
 
-        `around` lets bounds give way to such a goal, so that what a person did can be predicted; who asks for the
-        prediction should know.
+        `around` widens the bounds for such a goal, so that what a person did can be predicted.
 
         Raises:
-            GoalUnreachableError: a goal much farther away than demonstrations went.
+            GoalUnreachableError: a goal farther away than `OUT_OF_REACH`.
             MotionError: a goal of another shape.
         """
         q = checked(f"{name}: goal", goal, (len(self.lower),), error=MotionError)
         beyond = np.where(self.free, 0.0, np.maximum(self.lower - q, q - self.upper))
-        said = []
+        notes = []
         for d in np.flatnonzero(beyond > 0.0):
             dof = self.dof_names[d] if self.dof_names else f"DoF {d}"
             text = f"{name}: goal with {dof} {q[d]:.3f}, demonstrations stay within {self.lower[d]:.3f} to "
             text += f"{self.upper[d]:.3f}"
-            if beyond[d] > self.out_of_reach:
+            if beyond[d] > OUT_OF_REACH:
                 raise GoalUnreachableError(
                     f"{text}; wanted a goal within reach, check frame and units or learn from reaches to there"
                 )
-            said.append(f"{text}; bounds are widened for it")
-        return tuple(said)
+            notes.append(f"{text}; bounds are widened for it")
+        return tuple(notes)
 
 
 def _farthest_beyond(recordings: Sequence[ReachRecording]) -> FloatArray:
@@ -158,3 +138,23 @@ def _farthest_beyond(recordings: Sequence[ReachRecording]) -> FloatArray:
         found.append(np.stack([low - q.min(axis=0), q.max(axis=0) - high]))
     farthest: FloatArray = np.max(found, axis=0)
     return farthest
+
+
+def posture_variation(recordings: Sequence[ReachRecording]) -> FloatArray:
+    """Return how far each DoF (J,) is from a minimum-jerk line between its ends: root mean square, m and rad.
+
+    The median over recordings, so that a lost marker in one of them does not count.
+
+    Raises:
+        MotionError: no recordings.
+    """
+    if not recordings:
+        raise MotionError("variation: wanted at least one recording, got none")
+    found = []
+    for recording in recordings:
+        active = recording.active
+        done = minimum_jerk((active.t_s - active.t_s[0]) / active.duration_s)
+        away = active.q - straight_line(active.q[0], active.q[-1], done)
+        found.append(np.sqrt((away**2).mean(axis=0)))
+    variation: FloatArray = np.median(found, axis=0)
+    return variation

@@ -9,14 +9,13 @@ from reaching_people import GOAL, MODEL, START, recording
 from scipy.spatial.transform import Rotation
 
 from humanpred_ros.errors import HumanModelError, MotionError
+from humanpred_ros.evaluation.reach_distances import ReachMetric
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
-from humanpred_ros.reaching.distances import ReachMetric
-from humanpred_ros.reaching.first_guess import ShortShoulder, straight_line
-from humanpred_ros.reaching.reach_task import ReachTask
-from humanpred_ros.reaching.trivial import minimum_jerk
-from humanpred_ros.reaching.variation import posture_variation
+from humanpred_ros.reaching.first_guess import ShortShoulder, minimum_jerk, straight_line
+from humanpred_ros.reaching.posture_bounds import posture_variation
+from humanpred_ros.reaching.prediction import ReachTask
 
 PHASE = np.linspace(0.0, 1.0, 101)
 SHOULDER = [MODEL.dof_index[name] for name in ("rShoulderY1", "rShoulderX", "rShoulderY2")]

@@ -11,31 +11,30 @@ from paths import shared_data
 from reaching_people import GOAL, MODEL, PARTNER, START, recording
 
 from humanpred_ros.errors import HumanModelError, MotionError, PlanningError
+from humanpred_ros.evaluation.reach_distances import ReachMetric
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
-from humanpred_ros.reaching.distances import ReachMetric
 from humanpred_ros.reaching.features import NAMED_WEIGHTS, ReachFeatures, ReachSituation
 from humanpred_ros.reaching.planner import (
     Partner,
     ReachPlanner,
-    ReachPlannerConfig,
-    SingleShot,
+    ReachPlannerSettings,
     unit_deviation,
 )
 from humanpred_ros.reaching.posture_bounds import PostureBounds
-from humanpred_ros.reaching.reach_task import ReachTask
+from humanpred_ros.reaching.prediction import PlannedPrediction, ReachTask
 from humanpred_ros.reaching.surroundings import Surroundings
 from humanpred_ros.stomp.smoothness import accelerations_matrix
 
 RECORDINGS = [recording(seed) for seed in range(3)]
 BOUNDS = PostureBounds.from_recordings(RECORDINGS, MODEL)
-FAST = ReachPlannerConfig(stomp=ReachPlannerConfig().stomp.replaced(iterations=20))
+FAST = ReachPlannerSettings(stomp=ReachPlannerSettings().stomp.replaced(iterations=20))
 SCENE = Surroundings.of_p2()
 
 
-def planner(name: str = "authors_static", config: ReachPlannerConfig = FAST) -> ReachPlanner:
-    return ReachPlanner(MODEL, NAMED_WEIGHTS[name], BOUNDS, SCENE, config)
+def planner(name: str = "authors_static", settings: ReachPlannerSettings = FAST) -> ReachPlanner:
+    return ReachPlanner(MODEL, NAMED_WEIGHTS[name], BOUNDS, SCENE, settings)
 
 
 def line(start: np.ndarray, goal: np.ndarray) -> np.ndarray:
@@ -60,9 +59,7 @@ def test_a_plan_costs_less_than_the_line_and_keeps_ends_and_bounds() -> None:
 
 
 def test_costs_are_those_of_the_features() -> None:
-    some = ReachPlanner(
-        MODEL, NAMED_WEIGHTS["authors_static"], BOUNDS, SCENE, dataclasses.replace(FAST, obstacle_weight=0.0)
-    )
+    some = ReachPlanner(MODEL, NAMED_WEIGHTS["authors_static"], BOUNDS, SCENE, FAST.replaced(obstacle_weight=0.0))
     beside = some.partner(PARTNER)
     reach = some.plan(START, GOAL, 1.0, beside, np.random.default_rng(0))
     features = ReachFeatures(MODEL).values(reach.q, ReachSituation(1.0, beside.points_m))
@@ -79,7 +76,7 @@ def test_the_same_seed_gives_the_same_reach_and_another_gives_another() -> None:
 
 
 def test_squared_velocity_alone_is_least_on_the_straight_line() -> None:
-    free = dataclasses.replace(FAST, obstacle_weight=0.0)
+    free = FAST.replaced(obstacle_weight=0.0)
     some = planner("baseline_0", free)
     reach = some.plan(START, GOAL, 1.0, some.partner(PARTNER), np.random.default_rng(0))
     np.testing.assert_allclose(reach.q, line(START, GOAL), atol=2e-3)
@@ -92,7 +89,7 @@ def test_a_reach_in_the_partners_way_keeps_more_distance_with_distance_weights()
     theirs = MODEL.link_poses(near)[wrist, :3, 3]
     least = []
     for name in ("baseline_0", "baseline_1"):
-        some = planner(name, ReachPlannerConfig())
+        some = planner(name, ReachPlannerSettings())
         reach = some.plan(START, GOAL, 1.0, some.partner(near), np.random.default_rng(0))
         mine = MODEL.link_poses(reach.q)[:, wrist, :3, 3]
         least.append(float(np.linalg.norm(mine - theirs, axis=1).mean()))
@@ -127,8 +124,8 @@ def test_noise_fits_the_bounds() -> None:
 
 def test_predictions_have_the_tasks_frames_and_differ_by_chance() -> None:
     task = ReachTask.of(RECORDINGS[0])
-    predictor = SingleShot(planner())
-    some = predictor.samples(task, np.random.default_rng(0), 3)
+    predictor = PlannedPrediction(planner())
+    some = np.stack([predictor.predict(task, np.random.default_rng(k)) for k in range(3)])
     assert some.shape == (3, *RECORDINGS[0].active.q.shape)
     np.testing.assert_allclose(some[:, 0], np.tile(task.start, (3, 1)), atol=1e-12)
     np.testing.assert_allclose(some[:, -1], np.tile(task.goal, (3, 1)), atol=1e-12)
@@ -141,7 +138,7 @@ def test_a_prediction_does_not_look_at_the_partners_future() -> None:
     later = task.partner.q.copy()
     later[1:, 0] += 0.3
     other = dataclasses.replace(task, partner=Motion(task.partner.t_s, later, task.dof_names, frame_id="mocap"))
-    a, b = (SingleShot(planner()).predict(t, np.random.default_rng(0)) for t in (task, other))
+    a, b = (PlannedPrediction(planner()).predict(t, np.random.default_rng(0)) for t in (task, other))
     np.testing.assert_array_equal(a, b)
 
 
@@ -180,7 +177,7 @@ def test_bad_input_is_refused() -> None:
         ReachPlanner(MODEL, -np.ones(24), BOUNDS, SCENE)
     task = dataclasses.replace(ReachTask.of(RECORDINGS[0]), dof_names=tuple(f"d{k}" for k in range(23)))
     with pytest.raises(HumanModelError):
-        SingleShot(some).predict(task, rng)
+        PlannedPrediction(some).predict(task, rng)
 
 
 @pytest.mark.parametrize("name", list(NAMED_WEIGHTS))
@@ -196,7 +193,7 @@ def test_on_p2s_recordings_the_authors_weights_lie_between_the_baselines_in_task
     metric, found = ReachMetric(MODEL), []
     bounds = PostureBounds.from_recordings(recordings, MODEL)
     for name in ("authors_static", "baseline_0", "baseline_1"):
-        predictor = SingleShot(ReachPlanner(MODEL, NAMED_WEIGHTS[name], bounds, SCENE))
+        predictor = PlannedPrediction(ReachPlanner(MODEL, NAMED_WEIGHTS[name], bounds, SCENE))
         distances = [
             metric.between(predictor.predict(ReachTask.of(r), np.random.default_rng(0)), r.active.q) for r in recordings
         ]

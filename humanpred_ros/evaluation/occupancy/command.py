@@ -8,7 +8,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from humanpred_ros import plugins
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.occupancy.evaluation import (
     OccupancyEvaluationConfig,
@@ -26,7 +25,9 @@ from humanpred_ros.evaluation.options import (
     progress_lines,
     read_library,
 )
-from humanpred_ros.recognition.gmm_config import GmmSettings
+from humanpred_ros.predictors.factory import PREDICTORS
+from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.registry import CLASSIFIERS
 from humanpred_ros.viewing.plots_occupancy import Moment, OccupancyCurves, save_occupancy_plot
 
 
@@ -38,11 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--predictor",
         default="all",
         metavar="NAME",
-        help=f"all, or some of {', '.join(plugins.names(plugins.PREDICTORS))} (commas between)",
+        help=f"all, or some of {', '.join(PREDICTORS)} (commas between)",
     )
-    parser.add_argument(
-        "--classifier", default=default.classifier, help=f"one of {', '.join(plugins.names(plugins.CLASSIFIERS))}"
-    )
+    parser.add_argument("--classifier", default=default.classifier, help=f"one of {', '.join(CLASSIFIERS)}")
     add_outputs(parser, plot="draw errors, calibration and one moment from above (.png)")
     parser.add_argument(
         "--until",
@@ -71,8 +70,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_jobs(parser)
     parser.add_argument("--seed", type=int, default=0)
     gmm = parser.add_argument_group("settings of the classifier gmm and of P1's expected motions")
-    gmm.add_argument("--components", type=int, default=GmmSettings().n_components, help="Gaussians per class")
-    gmm.add_argument("--evidence", default=GmmSettings().evidence, help="sum or mean of the postures' log densities")
+    gmm.add_argument("--components", type=int, default=GmmConfig.n_components, help="Gaussians per class")
+    gmm.add_argument("--evidence", default=GmmConfig.evidence, help="sum or mean of the postures' log densities")
 
 
 def run(options: argparse.Namespace, console: Console) -> int:
@@ -95,9 +94,9 @@ def run(options: argparse.Namespace, console: Console) -> int:
 def _config(options: argparse.Namespace) -> OccupancyEvaluationConfig:
     dx, dy, turn_deg = _shift(options.shift)
     return OccupancyEvaluationConfig(
-        predictors=names_in(options.predictor, plugins.names(plugins.PREDICTORS)),
+        predictors=names_in(options.predictor, PREDICTORS),
         classifier=options.classifier,
-        gmm=GmmSettings(n_components=options.components, evidence=options.evidence, seed=options.seed),
+        gmm=GmmConfig(n_components=options.components, evidence=options.evidence, seed=options.seed),
         until=options.until,
         scene=options.scene,
         resolution_m=options.resolution,

@@ -1,0 +1,136 @@
+"""Weights are learned once for all tables, made comparable, and known ones are found again from enough samples."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+from reaching_people import MODEL, recording
+
+from humanpred_ros.evaluation import reaching_weights
+from humanpred_ros.evaluation.reaching_weights import (
+    ALONE,
+    IMPROVED,
+    LEARNING,
+    PUBLISHED,
+    LearnedWeights,
+    Recovery,
+    RecoveryRun,
+    feature_deviation,
+    influence,
+    known_weights,
+    learn_all,
+    recovery_figures,
+    spread,
+    weight_columns,
+)
+from humanpred_ros.reaching.features import N_FEATURES, NAMED_WEIGHTS
+from humanpred_ros.reaching.learner import ReachLearner
+from humanpred_ros.reaching.piirl import PiirlSolution
+
+RECORDINGS = [recording(seed, n_frames=40) for seed in range(3)]
+NAMES = [entry.name for entry in RECORDINGS]
+
+
+@pytest.fixture(scope="module")
+def quick() -> dict[str, LearnedWeights]:
+    with pytest.MonkeyPatch.context() as patch:
+        few = {
+            how: config.replaced(sampling=config.sampling.replaced(n_samples=40), collisions=None, bootstrap=4)
+            for how, config in LEARNING.items()
+        }
+        patch.setattr(reaching_weights, "LEARNING", few)
+        return {how: learn_all(RECORDINGS, MODEL, how, seed=1) for how in few}
+
+
+def test_leaving_one_out_is_learning_from_the_others() -> None:
+    config = LEARNING[IMPROVED].replaced(sampling=LEARNING[IMPROVED].sampling.replaced(n_samples=30), bootstrap=0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reaching_weights, "LEARNING", {IMPROVED: config})
+        table = learn_all(RECORDINGS, MODEL, IMPROVED, seed=5).table
+    learner = ReachLearner(RECORDINGS, MODEL, config.replaced(seed=5))
+    for name in NAMES:
+        others = learner.learn([other for other in NAMES if other != name])
+        np.testing.assert_array_equal(table.without(name), others.weights)
+    np.testing.assert_array_equal(table.without("somebody else"), learner.learn().weights)
+
+
+def test_tables_travel_to_processes(quick: dict[str, LearnedWeights]) -> None:
+    for how, learned in quick.items():
+        copy = pickle.loads(pickle.dumps(learned.table))
+        np.testing.assert_array_equal(copy.without(NAMES[0]), learned.table.without(NAMES[0]))
+        assert list(copy.alone) == (NAMES if how == ALONE else [])
+
+
+def test_influence_is_shares() -> None:
+    shares = influence(np.array([1.0, 3.0, 0.0]), np.array([2.0, 2.0, 9.0]))
+    np.testing.assert_allclose(shares, [0.25, 0.75, 0.0])
+    assert not influence(np.zeros(3), np.ones(3)).any()
+
+
+def test_influence_forgets_the_scale_of_the_weights() -> None:
+    deviation = feature_deviation(RECORDINGS, MODEL, seed=0)
+    weights = NAMED_WEIGHTS["authors_static"]
+    np.testing.assert_allclose(influence(weights, deviation), influence(7.0 * weights, deviation))
+
+
+def test_every_column_sums_to_one(quick: dict[str, LearnedWeights]) -> None:
+    columns = weight_columns(quick, np.ones(N_FEATURES))
+    assert [column.name for column in columns] == [PUBLISHED, IMPROVED, ALONE, "authors_static", "authors_dynamic"]
+    for column in columns:
+        assert column.influence.sum() == pytest.approx(1.0)
+    assert columns[0].spread is not None
+    assert columns[-1].spread is None
+    few = weight_columns({IMPROVED: quick[IMPROVED]}, np.ones(N_FEATURES))
+    assert [column.name for column in few] == [IMPROVED, "authors_static", "authors_dynamic"]
+
+
+def test_statistics_are_those_of_the_paper() -> None:
+    found = spread(np.array([[1.0, 3.0], [5.0, 5.0]]))
+    np.testing.assert_array_equal(found, [[2.0, 5.0], [1.0, 0.0], [1.0, 5.0], [3.0, 5.0]])
+
+
+SAMPLES = (2, 6, 20)
+
+
+@pytest.fixture(scope="module")
+def run() -> RecoveryRun:
+    return Recovery(RECORDINGS[:2], MODEL, SAMPLES, seed=0)(1)
+
+
+def test_a_run_compares_every_demonstration(run: RecoveryRun) -> None:
+    assert set(run.learned) == {"published", "improved, distances too"}
+    for shares in (*run.learned.values(), run.best_sample):
+        assert shares.shape == (3, 2)
+        assert np.isfinite(shares).all()
+    # Of more samples the best can only be better; none of so few is as good as what was planned.
+    assert (np.diff(run.best_sample, axis=0) <= 0.0).all()
+    assert (run.best_sample > 0.0).all()
+
+
+def test_who_finds_the_known_weights_pays_nothing_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    exact = PiirlSolution(known_weights(), 0.0, np.zeros(24, dtype=np.bool_))
+    monkeypatch.setattr(reaching_weights, "learn_weights", lambda found, config: exact)
+    found = Recovery(RECORDINGS[:2], MODEL, (2,), seed=0)(0)
+    for shares in found.learned.values():
+        np.testing.assert_array_equal(shares, 0.0)
+
+
+def test_repetitions_differ_and_come_again(run: RecoveryRun) -> None:
+    few = Recovery(RECORDINGS[:2], MODEL, SAMPLES, seed=0)
+    np.testing.assert_array_equal(few(1).best_sample, run.best_sample)
+    assert (few(0).best_sample != run.best_sample).all()
+
+
+def test_figures_are_percent_of_means_over_demonstrations() -> None:
+    def made_up(x: float) -> RecoveryRun:
+        shares = np.array([[x, 3.0 * x]])
+        return RecoveryRun({"published": shares}, 2.0 * shares, shares[0])
+
+    figures = recovery_figures([made_up(0.1), made_up(0.2)], (5,))
+    assert figures["demonstrations"] == 2
+    assert figures["learned"]["published"][0]["mean"] == pytest.approx(30.0)
+    assert figures["learned"]["published"][0]["low"] == pytest.approx(20.0)
+    assert figures["best_sample"][0]["high"] == pytest.approx(80.0)
+    assert figures["line"]["sd"] == pytest.approx(10.0)
