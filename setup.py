@@ -103,6 +103,19 @@ setup(
             "humanpred = humanpred_ros.cli:main",
             *(f"{node} = {PACKAGE}.nodes.{node}:main" for node in NODES),
         ],
+        # Chosen by name (humanpred_ros/plugins.py); other packages add theirs in the same way.
+        "humanpred_ros.classifiers": [
+            "forest = humanpred_ros.recognition.forest_classifier:ForestClassifier",
+            "gmm = humanpred_ros.recognition.gmm_classifier:GmmClassifier",
+        ],
+        "humanpred_ros.predictors": [
+            "forecast = humanpred_ros.occupancy.forecast:ForecastPredictor",
+            "swept_volume = humanpred_ros.occupancy.swept_volume_predictor:SweptVolumePredictor",
+            "reaching = humanpred_ros.reaching.reaching_predictor:ReachingPredictor",
+            "current = humanpred_ros.occupancy.current:CurrentOccupancyPredictor",
+            "current_accumulated = humanpred_ros.occupancy.current:AccumulatedOccupancyPredictor",
+            "constant_velocity = humanpred_ros.occupancy.constant_velocity:ConstantVelocityPredictor",
+        ],
     },
     zip_safe=False,
 )

@@ -25,8 +25,8 @@ _WIDTH_OF_FILES = 130
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("evaluation.demo:run", "replay, predict and plan over DDS, recorded to MCAP, with a report at the end"),
     "train": ("commands:train", "learn a model from a motion library"),
-    "import": ("commands:import_libraries", "turn CSV motion libraries into MCAP bags"),
-    "generate": ("commands:generate", "make a synthetic motion library by simulation"),
+    "import": ("motion.commands:import_libraries", "turn motion libraries, or recordings of markers, into MCAP bags"),
+    "generate": ("motion.commands:generate", "make a synthetic motion library by simulation"),
     "report": ("commands:report", "write the HTML report of a recorded run"),
     "replay": ("commands:replay", "feed a run's recorded occupancy to a fresh planner and compare its decisions"),
     "evaluate recognition": (

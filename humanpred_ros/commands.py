@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -35,7 +33,7 @@ def train(settings: TrainSettings, console: Console) -> int:
     """Learn a model from a motion library."""
     from humanpred_ros.human.model import human_with
     from humanpred_ros.motion.library_io import load_library
-    from humanpred_ros.recognition.gmm_config import GmmConfig
+    from humanpred_ros.recognition.gmm_config import GmmSettings
     from humanpred_ros.recognition.model_file import save_model
     from humanpred_ros.recognition.training import train_model
 
@@ -43,72 +41,11 @@ def train(settings: TrainSettings, console: Console) -> int:
     if settings.hold_out:
         held_out = {m.name for label in library.labels for m in library.of_class(label)[: settings.hold_out]}
         library = library.select(lambda motion: motion.name not in held_out)
-    config = GmmConfig(n_components=settings.components, phase_feature=settings.phase, seed=settings.seed)
+    config = GmmSettings(n_components=settings.components, phase_feature=settings.phase, seed=settings.seed)
     with console.status(f"training on {len(library)} motions of {library.name}"):
         model = train_model(library, human_with(library.dof_names), config)
     save_model(model, settings.out)
     console.print(f"{settings.out}: {len(model.labels)} classes from {len(library)} motions of {library.name}")
-    return 0
-
-
-class ImportSettings(Settings):
-    """Settings of `humanpred import`."""
-
-    source: tuple[str, ...] = setting(..., "folder with class_<k>.csv files", positional=True)
-    out: Path = setting(..., "folder for the bags, one per library")
-    overwrite: bool = setting(False, "replace bags that exist")
-    show_flags: bool = setting(False, "print everything that looks suspicious")
-    clean: bool = setting(False, "unwrap angles; without it everything is kept as it is")
-    drop: bool = setting(False, "clean, and leave out motions that jump or are mislabelled")
-    frame_period: float = setting(_FRAME_PERIOD_S, "time between frames where a CSV has no times", unit="s")
-
-
-def import_libraries(settings: ImportSettings, console: Console) -> int:
-    """Turn CSV motion libraries into MCAP bags."""
-    from humanpred_ros.motion.bag_library import write_library_bag
-    from humanpred_ros.motion.cleaning import clean_library, flag_library
-    from humanpred_ros.motion.library_io import load_library
-
-    for source in settings.source:
-        library = load_library(source, frame_period_s=settings.frame_period)
-        flags = flag_library(library)
-        for reason, count in Counter(flag.reason for flag in flags).items():
-            console.print(f"{source}: {count} flagged {reason}", markup=False, highlight=False)
-        if settings.show_flags:
-            for flag in flags:
-                console.print(f"  {flag}", markup=False, highlight=False)
-        if settings.clean or settings.drop:
-            library = clean_library(library, drop=settings.drop)
-        bag = write_library_bag(library, settings.out / library.name, overwrite=settings.overwrite)
-        console.print(f"{source} -> {bag}: {len(library)} motions", markup=False, highlight=False, soft_wrap=True)
-    return 0
-
-
-class GenerateSettings(Settings):
-    """Settings of `humanpred generate`."""
-
-    out: Path = setting(..., "bag to write")
-    motions: int = setting(25, "motions per class", low=1)
-    seed: int = setting(0, "of all random draws", low=0)
-    compare: str | None = setting(None, "library whose statistics are printed beside the new one's")
-    overwrite: bool = setting(False, "replace a bag that exists")
-
-
-def generate(settings: GenerateSettings, console: Console) -> int:
-    """Make a synthetic motion library by simulation."""
-    from humanpred_ros.motion.bag_library import write_library_bag
-    from humanpred_ros.motion.library_io import load_library
-    from humanpred_ros.motion.library_statistics import comparison_markdown
-    from humanpred_ros.motion.synthetic import ReachGeneratorConfig, generate_library
-
-    other = load_library(settings.compare) if settings.compare else None
-    config = ReachGeneratorConfig(motions_per_class=settings.motions, name=settings.out.name)
-    with console.status(f"generating {settings.motions} motions per class"):
-        library = generate_library(config, np.random.default_rng(settings.seed))
-    write_library_bag(library, settings.out, overwrite=settings.overwrite)
-    console.print(f"{settings.out}: {len(library)} motions, seed {settings.seed}")
-    if other is not None:
-        print(comparison_markdown(library, other))
     return 0
 
 

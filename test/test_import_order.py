@@ -10,13 +10,13 @@ from paths import REPOSITORY
 
 ORDER = (
     "geometry", "bags", "human", "motion", "recognition", "occupancy", "stomp", "reaching", "robot", "planning",
-    "predictors", "viewing", "evaluation", "nodes", "commands", "cli",
+    "viewing", "evaluation", "nodes", "commands", "cli",
 )  # fmt: skip
 #: The same inside packages that have folders; what lies in the package itself comes last.
 INNER_ORDER = {
     "planning": ("timing", "validity"),
 }
-SHARED = {"errors", "resources", "settings", "topics", "__version__"}
+SHARED = {"errors", "plugins", "resources", "settings", "topics", "__version__"}
 ROS_MODULES = {
     "rclpy", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "rcl_interfaces", "rosgraph_msgs",
     "sensor_msgs", "std_msgs", "trajectory_msgs", "visualization_msgs",

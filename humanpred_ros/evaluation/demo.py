@@ -18,11 +18,10 @@ from humanpred_ros.human.model import human_with, name_of_human
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR
-from humanpred_ros.predictors.factory import check_predictor, needs_model, uses_classifier
+from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR, check_predictor, predictor_type
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
-from humanpred_ros.recognition.forest_config import ForestConfig
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.forest_config import ForestSettings
+from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.recognition.model_file import load_model, save_model
 from humanpred_ros.recognition.training import train_model
 from humanpred_ros.resources import locate
@@ -96,10 +95,10 @@ def run_demo(settings: DemoSettings, console: Console) -> RunSummary:
     model = None
     if settings.model:
         load_model(settings.model, human)
-    elif needs_model(settings.predictor):
+    elif predictor_type(settings.predictor).needs_model:
         training = training_part(library, motion, settings.hold_out)
         with console.status(f"training on {len(training)} motions of {library.name}"):
-            model = train_model(training, human, GmmConfig(seed=settings.seed), ForestConfig(seed=settings.seed))
+            model = train_model(training, human, GmmSettings(seed=settings.seed), ForestSettings(seed=settings.seed))
 
     folder.mkdir(parents=True)
     model_path = Path(settings.model or folder / "model.npz").resolve()
@@ -166,7 +165,7 @@ def _start_nodes(
         "rate": settings.real_time or "",
         "period_s": repr(period_s),
         "predictor": settings.predictor,
-        "classifier": settings.classifier if uses_classifier(settings.predictor) else "",
+        "classifier": settings.classifier if predictor_type(settings.predictor).classifiers != () else "",
         "detect_onsets": settings.onsets,
         "threshold": repr(settings.threshold),
         "package_version": __version__,

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.motion.motion import Motion
-from humanpred_ros.occupancy.predictor import OccupancyPredictor
+from humanpred_ros.occupancy.predictor import Predictor
 from humanpred_ros.planning.decision import ARRIVED, Decision
 from humanpred_ros.planning.replanner import MultiGoalReplanner
 from humanpred_ros.robot.scene import Scene
@@ -16,7 +16,7 @@ from humanpred_ros.robot.scene import Scene
 
 def run_direct(
     scene: Scene,
-    predictor: OccupancyPredictor,
+    predictor: Predictor,
     replanner: MultiGoalReplanner,
     motion: Motion,
     threshold: float,
@@ -36,7 +36,7 @@ def run_direct(
     return drive(replanner, scene.start, predicted(predictor, motion, threshold, n_held), len(motion))
 
 
-def predicted(predictor: OccupancyPredictor, motion: Motion, threshold: float, n_held: int = 0) -> Iterator[Occupancy]:
+def predicted(predictor: Predictor, motion: Motion, threshold: float, n_held: int = 0) -> Iterator[Occupancy]:
     """Yield the occupancy that reaches the planner after each posture; arguments as for `run_direct`."""
     offsets_ns, postures = motion.timeline(n_held)
     predictor.start()

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,7 +27,7 @@ from humanpred_ros.evaluation.framework import (
     present,
 )
 from humanpred_ros.evaluation.needs import check_needs
-from humanpred_ros.evaluation.outputs import library_facts
+from humanpred_ros.evaluation.outputs import library_facts, plain
 from humanpred_ros.evaluation.parallel import map_processes
 from humanpred_ros.evaluation.plots import recognition_plot
 from humanpred_ros.evaluation.published import ReferenceCurve, advice_beside, read_reference, reference_beside
@@ -69,8 +68,8 @@ from humanpred_ros.evaluation.recognition_scores import (
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
-from humanpred_ros.recognition.forest_config import ForestConfig
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.forest_config import ForestSettings
+from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.settings import setting
 
 #: The least probabilities counted in a log-loss: scikit-learn's old default, and one at which a few motions that are
@@ -92,7 +91,7 @@ class RecognitionSettings(LibrarySettings):
         (0.7, 1.0, 1.4), "play the motions at these factors of their speed, too", low=0.01, high=100.0
     )
     unknown: bool = setting(True, "leave out each class as a whole, too, if there are three classes or more")
-    components: int = setting(GmmConfig.n_components, "gmm: Gaussians per class", low=1)
+    components: int = setting(GmmSettings().n_components, "gmm: Gaussians per class", low=1)
     phase: bool = setting(True, "gmm: the phase is a feature beside the posture")
     evidence: Literal["sum", "mean"] = setting("sum", "gmm: sum or mean of the postures' log densities")
     window_frames: int = setting(0, "gmm: count only so many last postures; 0 counts all", low=0)
@@ -110,14 +109,14 @@ class RecognitionSettings(LibrarySettings):
     @property
     def choices(self) -> tuple[ClassifierChoice, ...]:
         """The classifiers, each with its settings."""
-        gmm = GmmConfig(
+        gmm = GmmSettings(
             n_components=self.components,
             phase_feature=self.phase,
             evidence=self.evidence,
             window_frames=self.window_frames or None,
             seed=self.seed,
         )
-        configs: dict[str, ClassifierConfig] = {"forest": ForestConfig(seed=self.seed), "gmm": gmm}
+        configs: dict[str, ClassifierConfig] = {"forest": ForestSettings(seed=self.seed), "gmm": gmm}
         names = chosen_names(self.classifier, EVALUATED, "classifier")
         return tuple(ClassifierChoice(name, configs.get(name)) for name in names)
 
@@ -169,7 +168,7 @@ def evaluate_classifier(
     }
     return ClassifierResult(
         name=choice.name,
-        settings={} if choice.config is None else asdict(choice.config),
+        settings={} if choice.config is None else plain(choice.config),
         learned_of_class=learned_of_class(choice.name),
         rate=rate,
         figures=curve_figures(rate),

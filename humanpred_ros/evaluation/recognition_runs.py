@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
 from typing import TypeAlias
 
 import numpy as np
 
+from humanpred_ros import plugins
 from humanpred_ros.errors import HumanPredError, UsageError
+from humanpred_ros.evaluation.leave_one_out import fitted_without
 from humanpred_ros.evaluation.needs import LEARNS_CLASSES, LEARNS_FROM_OTHERS, Needs
 from humanpred_ros.evaluation.recognition_scores import IntArray, percent_indices
 from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary, resample
 from humanpred_ros.reaching.place_classifier import GoalClassifier
 from humanpred_ros.reaching.place_model import GoalConfig
-from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
-from humanpred_ros.recognition.forest_config import ForestConfig
-from humanpred_ros.recognition.gmm_config import GmmConfig
-from humanpred_ros.recognition.registry import CLASSIFIERS, make_classifier
+from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
+from humanpred_ros.recognition.forest_config import ForestSettings
+from humanpred_ros.recognition.gmm_config import GmmSettings
 
 #: With one of three classes left out, two are left: the least that can be told apart.
 LEAST_CLASSES_FOR_UNKNOWN = 3
@@ -30,17 +31,15 @@ LEAST_CLASSES_FOR_UNKNOWN = 3
 _FIT_TIMING_S = 1.0
 _MOST_FITS = 5
 
-ClassifierConfig: TypeAlias = ForestConfig | GmmConfig | GoalConfig
+ClassifierConfig: TypeAlias = ForestSettings | GmmSettings | GoalConfig
 
 #: Infers to which of the classes' places a reach goes.
 REACHING = "reaching"
-#: Names of what can be evaluated, and what they are; the default classifier first.
-EVALUATED: Mapping[str, str] = MappingProxyType(
-    {**CLASSIFIERS, REACHING: "P2's idea: to which of the classes' places would this be a good way?"}
-)
+#: Names of what can be evaluated: the classifiers, and inference of the place.
+EVALUATED = (*plugins.names(plugins.CLASSIFIERS), REACHING)
 
 
-def make_evaluated(name: str, config: ClassifierConfig | None = None) -> IntentClassifier:
+def make_evaluated(name: str, config: ClassifierConfig | None = None) -> Classifier:
     """Return a classifier by name, to be fitted, with its own kind of settings or the default ones.
 
     Raises:
@@ -54,7 +53,9 @@ def make_evaluated(name: str, config: ClassifierConfig | None = None) -> IntentC
         return GoalClassifier(config=config)
     if isinstance(config, GoalConfig):
         raise UsageError(f"classifier {name}: wanted its own settings, got {type(config).__name__}")
-    return make_classifier(name, config)
+    # Abstract classes are types, too; mypy asks for concrete ones.
+    kind = plugins.load(plugins.CLASSIFIERS, name, Classifier)  # type: ignore[type-abstract]
+    return kind(HumanModel.kinect12(), config)
 
 
 def needs_of(name: str) -> Needs:
@@ -74,7 +75,7 @@ class ClassifierChoice:
     name: str
     config: ClassifierConfig | None = None
 
-    def make(self) -> IntentClassifier:
+    def make(self) -> Classifier:
         """Return a new classifier to be fitted. Raises UsageError for an unknown name, or settings of another."""
         return make_evaluated(self.name, self.config)
 
@@ -154,7 +155,7 @@ class LeftOutRuns:
         return MotionLibrary(self._name, self._motions)
 
     @cached_property
-    def _fitted(self) -> tuple[IntentClassifier, tuple[float, ...]]:
+    def _fitted(self) -> tuple[Classifier, tuple[float, ...]]:
         times: list[float] = []
         while True:
             classifier = self.choice.make()
@@ -169,7 +170,7 @@ class LeftOutRuns:
         whole, fit_s = self._fitted
         motion, labels = self.library.find(name), self.library.labels
         clock = [time.process_time()]
-        classifier = whole.fit_without(self.library, name)
+        classifier = fitted_without(whole, self.library, name)
         clock.append(time.process_time())
         traces = [play(classifier, motion, labels)]
         clock.append(time.process_time())
@@ -187,7 +188,7 @@ class LeftOutRuns:
         return Outcome(traces, (), {"unknown motions": time.process_time() - begun})
 
 
-def play(classifier: IntentClassifier, motion: Motion, labels: tuple[int, ...]) -> Trace:
+def play(classifier: Classifier, motion: Motion, labels: tuple[int, ...]) -> Trace:
     """Show a motion to a copy of a classifier, posture by posture as a sensor would, and return what it said.
 
     A copy, because what a classifier keeps from one motion to the next, such as where the person stands, must not come

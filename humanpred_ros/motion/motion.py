@@ -183,6 +183,20 @@ class MotionLibrary:
         )
 
 
+def require_plain_name(where: str, name: str) -> str:
+    """Return a name that a file of data gives to a library, if it can be the name of a folder.
+
+    Raises:
+        LibraryFormatError: names such as `..`, `a/b` or an absolute path, which would leave the folder meant for it.
+    """
+    if not name or name.startswith(".") or name != name.strip() or any(c in "/\\" or not c.isprintable() for c in name):
+        raise LibraryFormatError(
+            f"{where}: wanted a library name that can be a folder's (no slashes, no point in front), got {name!r}; "
+            "rename it"
+        )
+    return name
+
+
 def is_angle(dof_name: str) -> bool:
     """Return whether a DoF turns; those of the papers' humans that slide have `Trans` in their name."""
     return "Trans" not in dof_name

@@ -21,16 +21,21 @@ from humanpred_ros.nodes.base import GraphNode, run_node
 from humanpred_ros.nodes.markers import occupancy_markers
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.nodes.settings import OccupancyPredictorSettings
-from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
-from humanpred_ros.predictors.factory import check_predictor, make_predictor, needs_model
-from humanpred_ros.predictors.reach_goals import goals_from_text, goals_of_scene
-from humanpred_ros.predictors.reach_sources import ReachKnowledge
+from humanpred_ros.occupancy.predictor import (
+    Prediction,
+    Predictor,
+    PredictorRequest,
+    check_predictor,
+    make_predictor,
+    predictor_type,
+)
 from humanpred_ros.reaching.places import GoalPlaces
+from humanpred_ros.reaching.reach_goals import goals_from_text, goals_of_scene
+from humanpred_ros.reaching.reach_sources import ReachKnowledge
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
 from humanpred_ros.reaching.weights import reach_weights
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.recognition.model_file import load_model
-from humanpred_ros.recognition.registry import make_classifier
 from humanpred_ros.recognition.training import TrainedModel, train_model
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import Scene, load_scene
@@ -57,12 +62,12 @@ class OccupancyPredictorNode(GraphNode):
         scene = load_scene(settings.scene)
         self.human = human_named(settings.human)
         self.T_world_human = scene.T_world_human
-        online = {}
+        online: dict[str, object] = {}
         if settings.classifier == "gmm":
             online = {"evidence": settings.evidence, "window_frames": settings.window_frames or None}
         # Named wrongly, these should not cost a training first.
-        make_classifier(settings.classifier, GmmConfig(**online) if online else None)
         check_predictor(settings.predictor, settings.classifier)
+        _ = GmmSettings(**online)
         told = self._told(list(settings.reach_goals))
         self.goals_m: FloatArray | None = None
         self.own_goals: GoalPlaces | None = None
@@ -88,27 +93,27 @@ class OccupancyPredictorNode(GraphNode):
             qos.sensor_subscription(settings.lossless, newest_only=settings.predictor == "reaching"),
         )
 
-    def _trained(self, scene: Scene, online: dict[str, object]) -> OccupancyPredictor:
+    def _trained(self, scene: Scene, online: dict[str, object]) -> Predictor:
         """Return one of the predictors that know classes, or nothing."""
         settings = self.settings
-        model = self._model() if needs_model(settings.predictor) else None
+        model = self._model() if predictor_type(settings.predictor).needs_model else None
         self.goals_m = None if model is None else model.goals_m
-        return make_predictor(
-            settings.predictor,
-            model,
+        request = PredictorRequest(
             self.human,
             scene.grid,
             scene.T_world_human,
-            classifier=settings.classifier,
-            onsets=settings.detect_onsets,
-            **online,
+            model,
+            settings.classifier,
+            online,
+            settings.detect_onsets,
         )
+        return make_predictor(settings.predictor, request)
 
     def _model(self) -> TrainedModel:
         if self.settings.model:
             return load_model(self.settings.model, self.human)
         self.get_logger().info(f"no model given: training on {self.settings.library}")
-        return train_model(load_library(locate(self.settings.library, "bags")), self.human, GmmConfig())
+        return train_model(load_library(locate(self.settings.library, "bags")), self.human, GmmSettings())
 
     def _reaching(self, scene: Scene, told: GoalPlaces | None) -> ReachingPredictor:
         """Return the predictor that knows places; a library without classes is enough for it, given places."""
@@ -124,7 +129,10 @@ class OccupancyPredictorNode(GraphNode):
             knowledge = ReachKnowledge.of_library(library, self.human)
         if knowledge.left_out:
             self.get_logger().warning(f"mistracked, not learned from: {', '.join(knowledge.left_out)}")
-        self.own_goals = goals_of_scene(scene) or knowledge.places
+        self.own_goals = (
+            goals_of_scene({goal.label: goal.place_m for goal in scene.reach_goals}, scene.T_world_human)
+            or knowledge.places
+        )
         goals = told or self.own_goals
         onsets = settings.detect_onsets
         return knowledge.predictor(

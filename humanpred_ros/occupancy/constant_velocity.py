@@ -17,7 +17,7 @@ from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import is_angle
-from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
+from humanpred_ros.occupancy.predictor import Prediction, Predictor, PredictorRequest
 from humanpred_ros.occupancy.voxeliser import DEFAULT_SPACING_M, BodyVoxeliser
 
 _TURN = 2 * np.pi
@@ -50,8 +50,10 @@ class ConstantVelocityConfig:
                 raise UsageError(f"constant velocity: wanted a positive {setting.name}, got {value}")
 
 
-class ConstantVelocityPredictor(OccupancyPredictor):
-    """Probability 1 where the body is and where it gets to at its present joint velocities; recognises nothing.
+class ConstantVelocityPredictor(Predictor):
+    """Baseline: the body where it is, and where it gets to if it goes on as it moves now.
+
+    Probability 1 on that way, 0 elsewhere; recognises nothing.
 
     Joints stop at their limits. The velocity of each joint is the median of the slopes between postures half a
     window apart (Theil's incomplete method), which a single mistracked posture does not move.
@@ -80,6 +82,10 @@ class ConstantVelocityPredictor(OccupancyPredictor):
         self._lower = np.where(endless, -np.inf, human.lower)
         self._upper = np.where(endless, np.inf, human.upper)
         self.start()
+
+    @classmethod
+    def from_request(cls, request: PredictorRequest) -> ConstantVelocityPredictor:
+        return cls(request.human, request.grid, request.T_world_human)
 
     def start(self) -> None:
         """Forget what was observed: the next posture is the first of a new motion."""

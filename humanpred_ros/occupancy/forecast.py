@@ -21,17 +21,19 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy import forecast_kernels as kernels
 from humanpred_ros.occupancy.body_parts import BodyParts, Float32Array
 from humanpred_ros.occupancy.forecast_config import ForecastConfig
-from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
+from humanpred_ros.occupancy.predictor import Prediction, Predictor, PredictorRequest
 from humanpred_ros.occupancy.recorded_futures import RecordedFutures
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser, checked_placement
-from humanpred_ros.recognition.classifier import IntentClassifier
+from humanpred_ros.recognition.classifier import Classifier
 from humanpred_ros.recognition.forest_classifier import ForestClassifier
 
 __all__ = ["ForecastConfig", "ForecastPredictor"]
 
 
-class ForecastPredictor(OccupancyPredictor):
-    """p(voxel) = sum over exemplars of P(exemplar is the present moment) [what followed it touches the voxel].
+class ForecastPredictor(Predictor):
+    """Where the body goes on to, as the library's people went on from moments like this one.
+
+    p(voxel) = sum over exemplars of P(exemplar is the present moment) [what followed it touches the voxel].
 
     Futures are those of the classes that were learned, also for a reach of no class: the posterior says how probable
     that is. Where the body is now has probability 1, and nothing else has. A person who stands elsewhere is moved to
@@ -43,13 +45,16 @@ class ForecastPredictor(OccupancyPredictor):
         config: the settings.
     """
 
+    needs_model = True
+    classifiers = ("forest",)
+
     def __init__(
         self,
         forest: ForestClassifier,
         grid: VoxelGrid,
         T_world_human: ArrayLike,
         *,
-        recogniser: IntentClassifier | None = None,
+        recogniser: Classifier | None = None,
         config: ForecastConfig | None = None,
     ) -> None:
         """Prepare the library's motions; a fifth of a second for 200 of them.
@@ -88,6 +93,13 @@ class ForecastPredictor(OccupancyPredictor):
         _ = forest.model.leaf_members
         start = forest.model.exemplars.q[0]
         self._probability(start, np.eye(4), *self._drawn(np.ones(len(self._futures.label))))
+
+    @classmethod
+    def from_request(cls, request: PredictorRequest) -> ForecastPredictor:
+        forest = request.make_classifier()
+        if not isinstance(forest, ForestClassifier):  # a package that calls another classifier forest is refused before
+            raise UsageError(f"predictor forecast: wanted the classifier forest, got {type(forest).__name__}")
+        return cls(forest, request.grid, request.T_world_human, recogniser=request.on_stream(forest))
 
     def start(self) -> None:
         """Forget what was observed: the next posture is the first of a new motion."""

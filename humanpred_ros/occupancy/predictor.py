@@ -1,15 +1,26 @@
-"""The interface of everything that turns an observed posture into predicted human occupancy."""
+"""The interface of everything that turns an observed posture into predicted human occupancy, and how one is made."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
 
+from numpy.typing import ArrayLike
+
+from humanpred_ros import plugins
+from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.recognition.classifier import ClassPosterior
+from humanpred_ros.geometry.shapes import Obstacle
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER, Classifier, ClassPosterior
+from humanpred_ros.recognition.stream import StreamClassifier
+from humanpred_ros.recognition.training import TrainedModel
+from humanpred_ros.settings import Settings
 
-#: What predicts unless told otherwise; `predictors.factory` knows them all.
+#: What predicts unless another is chosen.
 DEFAULT_PREDICTOR = "forecast"
 
 
@@ -29,14 +40,84 @@ class Prediction:
     T_library_tracker: FloatArray | None = None
 
 
-class OccupancyPredictor(ABC):
+@dataclass(frozen=True, eq=False)
+class PredictorRequest:
+    """All that a predictor can be made from; each takes what it needs.
+
+    Attributes:
+        human: whose body occupies.
+        grid: the lattice, world frame.
+        T_world_human: (4, 4) rigid transform from the tracker's frame to the world.
+        model: what was learned; the baselines need none.
+        classifier: name of the classifier that recognises the class, for predictors that ask one.
+        classifier_settings: settings of that classifier that differ from those trained with
+            (`Classifier.online_settings`).
+        onsets: the postures are those of a person who mostly stands: find where motions begin and end, and recognise
+            each anew (`StreamClassifier`). Without it, the first posture after `start` begins a motion.
+        settings: of the predictor, of its `settings_type`; the default ones if None.
+        places: where the palm may go, (3,) by label, tracker's frame; those of the model's classes if None.
+        obstacles: what stands in a reach's way, world frame.
+    """
+
+    human: HumanModel
+    grid: VoxelGrid
+    T_world_human: ArrayLike
+    model: TrainedModel | None = None
+    classifier: str = DEFAULT_CLASSIFIER
+    classifier_settings: Mapping[str, object] = field(default_factory=dict)
+    onsets: bool = False
+    settings: Settings | None = None
+    places: Mapping[int, ArrayLike] | None = None
+    obstacles: Sequence[Obstacle] = ()
+
+    def trained_model(self) -> TrainedModel:
+        """Return the model (UsageError without one)."""
+        if self.model is None:
+            raise UsageError("predictor: wanted a trained model, got none; train one first")
+        return self.model
+
+    def make_classifier(self) -> Classifier:
+        """Return the classifier from the model, ready for use.
+
+        Raises:
+            UsageError: no model, one without this classifier, or settings that a trained one cannot change.
+        """
+        return self.trained_model().classifier(self.classifier, self.human, **self.classifier_settings)
+
+    def on_stream(self, classifier: Classifier) -> Classifier:
+        """Return a classifier, run on a stream of postures if onsets are to be found."""
+        return StreamClassifier(classifier, human=self.human) if self.onsets else classifier
+
+
+class Predictor(ABC):
     """Predicts the voxels the human will occupy.
 
     The grid is in the world frame; postures are in the frame of the tracker. `T_world_human` given at
-    construction joins the two.
+    construction joins the two. Predictors are chosen by name (entry points `humanpred_ros.predictors`, see
+    `humanpred_ros.plugins`).
+
+    Attributes:
+        settings_type: class of the settings.
+        needs_model: whether it learns from people, and so needs a trained model.
+        classifiers: names of the classifiers that can recognise for it; None stands for all, () for none.
+        also_trained: classifiers that must be in the model whichever recognises.
+        grid: the lattice, world frame.
     """
 
+    settings_type: ClassVar[type[Settings]] = Settings
+    needs_model: ClassVar[bool] = False
+    classifiers: ClassVar[tuple[str, ...] | None] = ()
+    also_trained: ClassVar[tuple[str, ...]] = ()
     grid: VoxelGrid
+
+    @classmethod
+    @abstractmethod
+    def from_request(cls, request: PredictorRequest) -> Predictor:
+        """Return a predictor made from what it needs of `request`; `make_predictor` has checked the class attributes.
+
+        Raises:
+            HumanPredError: something that it needs is missing or cannot be used.
+        """
 
     @abstractmethod
     def start(self) -> None:
@@ -45,3 +126,51 @@ class OccupancyPredictor(ABC):
     @abstractmethod
     def update(self, q: FloatArray, t_s: float) -> Prediction:
         """Take one posture (D,) stamped `t_s` and return the prediction that follows from all so far."""
+
+
+def predictor_type(name: str) -> type[Predictor]:
+    """Return a predictor's class by name. Raises UsageError for an unknown name, with those there are."""
+    # Abstract classes are types, too; mypy asks for concrete ones.
+    return plugins.load(plugins.PREDICTORS, name, Predictor)  # type: ignore[type-abstract]
+
+
+def check_predictor(name: str, classifier: str = DEFAULT_CLASSIFIER) -> None:
+    """Check names before anything expensive is done.
+
+    Raises:
+        UsageError: an unknown predictor or classifier, or two that do not go together.
+    """
+    found = predictor_type(name)
+    plugins.check_name(plugins.CLASSIFIERS, classifier)
+    if found.classifiers and classifier not in found.classifiers:
+        raise UsageError(
+            f"predictor {name}: wanted the classifier {' or '.join(found.classifiers)}, got {classifier!r}; "
+            "with another classifier use swept_volume"
+        )
+
+
+def make_predictor(name: str, request: PredictorRequest) -> Predictor:
+    """Return a predictor by name.
+
+    Raises:
+        UsageError: unknown name, no model where one is needed, a model for another human, a predictor that does not
+            go with the classifier, or settings of another predictor.
+        ArrayError: a placement that is not a rigid transform.
+    """
+    found = predictor_type(name)
+    if found.classifiers != ():
+        check_predictor(name, request.classifier)
+    if request.settings is not None and not isinstance(request.settings, found.settings_type):
+        raise UsageError(
+            f"predictor {name}: wanted settings of the class {found.settings_type.__name__}, "
+            f"got {type(request.settings).__name__}"
+        )
+    if found.needs_model:
+        if request.model is None:
+            raise UsageError(f"predictor {name}: wanted a trained model, got none; train one first")
+        if request.model.human_signature != request.human.signature:
+            raise UsageError(
+                f"predictor {name}: the model was trained for another human than {request.human.name}; "
+                "train one for this human"
+            )
+    return found.from_request(request)

@@ -23,7 +23,7 @@ from humanpred_ros.reaching.places import GoalPlaces
 from humanpred_ros.reaching.progress import ReachProgress
 from humanpred_ros.reaching.unlisted_places import UntoldPlaces, evenly_picked
 from humanpred_ros.recognition.class_mixtures import check_trainable
-from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
+from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
 from humanpred_ros.recognition.reach_features import N_START, point_links
 
 __all__ = ["GoalClassifier", "GoalConfig", "GoalModel", "GoalPlaces", "learn_goal_model"]
@@ -34,7 +34,7 @@ _BEST_REACHES_A_POSTURE = 8
 _FARTHEST_M = 1e4
 
 
-class GoalClassifier(IntentClassifier):
+class GoalClassifier(Classifier):
     """P(place | the reach so far) and P(none of the places | the reach so far).
 
     All places are equally probable beforehand. The places are in the tracker's frame, and stay where they are when a

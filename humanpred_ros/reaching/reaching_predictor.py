@@ -18,7 +18,7 @@ from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
+from humanpred_ros.occupancy.predictor import Prediction, Predictor, PredictorRequest
 from humanpred_ros.occupancy.sampled_futures import SampledFutures, SweepConfig
 from humanpred_ros.reaching.features import NAMED_WEIGHTS
 from humanpred_ros.reaching.futures import ReachFutures, ReachFuturesConfig
@@ -54,8 +54,10 @@ class ReachingConfig:
             raise UsageError(f"reaching: wanted a least probability within [0, 1), got {self.least_probability}")
 
 
-class ReachingPredictor(OccupancyPredictor):
-    """p(voxel) = sum over places of P(place) times the share of futures towards it that touch the voxel.
+class ReachingPredictor(Predictor):
+    """P2: plans the reach to each place the hand may go to; needs no motion to that place.
+
+    p(voxel) = sum over places of P(place) times the share of futures towards it that touch the voxel.
 
     Where the body is now has probability 1, and nothing else has. Given that the reach is for none of the places, as
     probable as the posterior says, it is for others that nobody told (`GoalClassifier.elsewhere`), one future each.
@@ -64,6 +66,8 @@ class ReachingPredictor(OccupancyPredictor):
         grid: the lattice, world frame.
         config: the settings.
     """
+
+    needs_model = True
 
     def __init__(
         self,
@@ -109,6 +113,18 @@ class ReachingPredictor(OccupancyPredictor):
         self._at_rest = ReachProgress(human)
         self._sampled = SampledFutures(human, grid, T_world_human, self.config.sweep)
         self._warm_up(human)
+
+    @classmethod
+    def from_request(cls, request: PredictorRequest) -> ReachingPredictor:
+        from humanpred_ros.reaching.reach_sources import ReachKnowledge
+
+        knowledge = ReachKnowledge.of_model(request.trained_model(), request.human)
+        places = None
+        if request.places is not None:
+            places = GoalPlaces(tuple(request.places), np.array(list(request.places.values()), dtype=np.float64))
+        return knowledge.predictor(
+            request.grid, request.T_world_human, places, onsets=request.onsets, obstacles=request.obstacles
+        )
 
     @property
     def human(self) -> HumanModel:

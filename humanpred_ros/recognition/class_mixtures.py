@@ -8,7 +8,7 @@ import numpy as np
 
 from humanpred_ros.errors import ArrayError, LibraryFormatError
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.recognition.mixture import GaussianMixture, fit_mixture
 from humanpred_ros.recognition.phase import training_samples
 
@@ -65,7 +65,7 @@ class ClassMixtures:
         return self.n_features == len(self.dof_names) + 1
 
 
-def fit_class_mixtures(library: MotionLibrary, config: GmmConfig) -> ClassMixtures:
+def fit_class_mixtures(library: MotionLibrary, config: GmmSettings) -> ClassMixtures:
     """Fit one mixture per class of a library (P1 III).
 
     The mixture of a class depends on the motions of this class and on the seed, on nothing else; neither the
@@ -80,7 +80,7 @@ def fit_class_mixtures(library: MotionLibrary, config: GmmConfig) -> ClassMixtur
 
 
 def refit_class_mixtures(
-    classes: ClassMixtures, library: MotionLibrary, label: int, config: GmmConfig
+    classes: ClassMixtures, library: MotionLibrary, label: int, config: GmmSettings
 ) -> ClassMixtures:
     """Return what `fit_class_mixtures` would, for a library that differs in one class from the one of `classes`.
 
@@ -97,7 +97,7 @@ def refit_class_mixtures(
     return _class_mixtures(library, [_fit_class(library, m, config) if m == label else old for m, old in kept])
 
 
-def _fit_class(library: MotionLibrary, label: int, config: GmmConfig) -> GaussianMixture:
+def _fit_class(library: MotionLibrary, label: int, config: GmmSettings) -> GaussianMixture:
     samples = np.vstack([training_samples(motion, config) for motion in library.of_class(label)])
     rng = np.random.default_rng([config.seed, label % 2**64])  # a seed sequence takes no negative labels
     try:

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from humanpred_ros.errors import ArrayError
+from humanpred_ros.errors import ArrayError, UsageError
 from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
+from humanpred_ros.settings import Settings
 
-#: What recognises unless told otherwise; `recognition.registry` knows them all.
+#: What recognises unless another is chosen.
 DEFAULT_CLASSIFIER = "forest"
 
 
@@ -63,24 +68,48 @@ class ClassPosterior:
         return float(self.probability[self.labels.index(label)])
 
 
-class IntentClassifier(ABC):
+class Classifier(ABC):
     """Recognises to which class a motion belongs while it is still under way.
 
     Use: `fit` once, then for every motion `start`, and `update` per posture. The cost of one update
     does not grow with the number of postures seen.
+
+    Classifiers that are chosen by name (entry points `humanpred_ros.classifiers`, see `humanpred_ros.plugins`) are made
+    with the human and their settings, and give what they have learned to the model file (`state`, `from_state`).
+
+    Attributes:
+        settings_type: class of the settings.
+        online_settings: names of the settings that may change after training.
+        human: whose postures come.
+        settings: how it learns and recognises.
     """
 
-    @abstractmethod
-    def fit(self, library: MotionLibrary) -> IntentClassifier:
-        """Learn one model per class of `library`; return self. Raises LibraryFormatError if it does not suffice."""
+    settings_type: ClassVar[type[Settings]] = Settings
+    online_settings: ClassVar[tuple[str, ...]] = ()
+    human: HumanModel
+    settings: Settings
 
-    @abstractmethod
-    def fit_without(self, library: MotionLibrary, name: str) -> IntentClassifier:
-        """Return a new classifier, as if learned from `library` without its motion `name` (`class/index`).
+    def __init__(self, human: HumanModel, settings: Settings | None = None) -> None:
+        """Make one to be fitted.
 
-        For leave-one-out evaluations: what does not depend on that motion may be shared with the classifier that
-        was fitted to the whole `library`; `self` must be that one and does not change.
+        Args:
+            human: whose postures come.
+            settings: of the class `settings_type`; the default ones if None.
+
+        Raises:
+            UsageError: settings of another class.
         """
+        if settings is not None and not isinstance(settings, self.settings_type):
+            raise UsageError(
+                f"{type(self).__name__}: wanted settings of the class {self.settings_type.__name__}, "
+                f"got {type(settings).__name__}"
+            )
+        self.human = human
+        self.settings = self.settings_type() if settings is None else settings
+
+    @abstractmethod
+    def fit(self, library: MotionLibrary) -> Classifier:
+        """Learn the classes of `library`; return self. Raises LibraryFormatError if it does not suffice."""
 
     @abstractmethod
     def start(self) -> None:
@@ -92,3 +121,27 @@ class IntentClassifier(ABC):
 
         A call that raises leaves the classifier as it was.
         """
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return what was learned, as named arrays of numbers, truth values or texts, for the model file.
+
+        Raises:
+            UsageError: nothing was learned yet, or a classifier that cannot be kept in a file.
+        """
+        raise UsageError(f"{type(self).__name__}: wanted a classifier that says what it has learned, it does not")
+
+    @classmethod
+    def from_state(
+        cls, human: HumanModel, settings: Settings, state: Mapping[str, NDArray[Any]], library: MotionLibrary
+    ) -> Classifier:
+        """Return the classifier that gave `state`, ready for use.
+
+        Args:
+            human, settings: it was made with; `online_settings` may differ.
+            state: as it was given, and not to be trusted: the file may come from anywhere.
+            library: it was fitted to.
+
+        Raises:
+            HumanPredError, KeyError, TypeError, ValueError: parts that are missing or do not fit each other.
+        """
+        raise UsageError(f"{cls.__name__}: wanted a classifier that can be kept in a model file, this one cannot")

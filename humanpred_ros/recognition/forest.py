@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.compiled import exact
-from humanpred_ros.recognition.forest_config import ForestConfig
+from humanpred_ros.recognition.forest_config import ForestSettings
 from humanpred_ros.recognition.reach_features import Float32Array
 
 IntArray = NDArray[np.int32]
@@ -91,7 +91,7 @@ class Forest:
         return _mean_shares(leaves, np.ones((1, 1), dtype=np.bool_) if counts is None else counts, self.share)
 
 
-def grow_tree(x: Float32Array, label: NDArray[np.intp], seed: int, config: ForestConfig) -> Tree:
+def grow_tree(x: Float32Array, label: NDArray[np.intp], seed: int, config: ForestSettings) -> Tree:
     """Return a tree grown on samples (M, F) of the classes `label` (M,).
 
     The same samples and seed give the same tree.

@@ -10,9 +10,9 @@ from humanpred_ros.errors import MotionError, UsageError
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
+from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
 from humanpred_ros.recognition.forest import IntArray, add_resemblance
-from humanpred_ros.recognition.forest_config import ForestConfig
+from humanpred_ros.recognition.forest_config import ForestSettings
 from humanpred_ros.recognition.forest_model import PELVIS, ForestModel, fit_forest, refit_without
 from humanpred_ros.recognition.reach_features import (
     FAR,
@@ -27,7 +27,7 @@ from humanpred_ros.recognition.reach_features import (
 )
 from humanpred_ros.recognition.standing_place import PlaceTracker
 
-__all__ = ["ForestClassifier", "ForestConfig"]
+__all__ = ["ForestClassifier", "ForestSettings"]
 
 
 #: Columns that tell one moment of a reach from another: palm now, farthest point, headings over 15 and 30 cm; and
@@ -37,8 +37,10 @@ _MOMENT_SCALE_M = np.repeat(np.array([1.0, 0.1], dtype=np.float32), 6)
 _MOMENT_WIDTH_M = 0.05
 
 
-class ForestClassifier(IntentClassifier):
-    """P(class | the reach so far) and P(no class | the reach so far).
+class ForestClassifier(Classifier):
+    """Calibrated trees over features of the reach that know no time, with a probability of no class.
+
+    P(class | the reach so far) and P(no class | the reach so far).
 
     Each posture's features (`reach_features`), brought to where the library's people stood (`standing_place`), fall
     through randomised trees (`forest`); what these vote is made a probability (`calibration`); and their distance from
@@ -46,21 +48,21 @@ class ForestClassifier(IntentClassifier):
     used: the same postures at another speed get the same answers.
 
     Attributes:
-        config: the settings.
-        human: whose postures come.
         model: what was learned, None before `fit`.
     """
 
+    settings_type = ForestSettings
+    settings: ForestSettings
+
     def __init__(
-        self, config: ForestConfig | None = None, human: HumanModel | None = None, model: ForestModel | None = None
+        self, human: HumanModel, settings: ForestSettings | None = None, model: ForestModel | None = None
     ) -> None:
-        """Make a classifier to fit, or, with `model`, one that is ready for use; the human is P1's by default.
+        """Make a classifier to fit, or, with `model`, one that is ready for use.
 
         Raises:
             HumanModelError: a human without the links that are followed.
         """
-        self.config = (ForestConfig() if model is None else model.config) if config is None else config
-        self.human = HumanModel.kinect12() if human is None else human
+        super().__init__(human, model.config if settings is None and model is not None else settings)
         self.model: ForestModel | None = None
         self._links = point_links(self.human)
         self._pelvis = self.human.link_names.index(PELVIS)
@@ -69,12 +71,12 @@ class ForestClassifier(IntentClassifier):
 
     def fit(self, library: MotionLibrary) -> ForestClassifier:
         """Learn; return self. Raises LibraryFormatError if the library does not suffice."""
-        self._take(fit_forest(library, self.human, self.config))
+        self._take(fit_forest(library, self.human, self.settings))
         return self
 
     def fit_without(self, library: MotionLibrary, name: str) -> ForestClassifier:
         """Return a classifier learned without one motion; only trees that had seen it are grown anew."""
-        return ForestClassifier(self.config, self.human, refit_without(self._fitted(), name))
+        return ForestClassifier(self.human, self.settings, refit_without(self._fitted(), name))
 
     def start(self) -> None:
         """Forget the reach that was observed; where the person stands is remembered."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from humanpred_ros.errors import ArrayError
 from humanpred_ros.recognition.calibration import Calibration
 from humanpred_ros.recognition.forest import Tree
-from humanpred_ros.recognition.forest_config import ForestConfig
+from humanpred_ros.recognition.forest_config import ForestSettings
 from humanpred_ros.recognition.forest_model import Exemplars, ForestModel, joined
 from humanpred_ros.recognition.novelty import COLUMNS, Novelty
 from humanpred_ros.recognition.reach_features import N_FEATURES
@@ -36,7 +35,7 @@ def forest_arrays(model: ForestModel) -> dict[str, NDArray[Any]]:
 
 def forest_metadata(model: ForestModel) -> dict[str, Any]:
     """Return the rest of a model, for JSON."""
-    return {"config": dataclasses.asdict(model.config), "labels": model.labels, "motions": model.exemplars.names}
+    return {"config": model.config.model_dump(), "labels": model.labels, "motions": model.exemplars.names}
 
 
 def read_forest(metadata: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> ForestModel:
@@ -45,7 +44,7 @@ def read_forest(metadata: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Fo
     Raises:
         ArrayError, KeyError, TypeError, ValueError: parts that do not fit each other.
     """
-    config, labels = ForestConfig(**metadata["config"]), tuple(int(label) for label in metadata["labels"])
+    config, labels = ForestSettings(**metadata["config"]), tuple(int(label) for label in metadata["labels"])
     exemplars = Exemplars(
         tuple(str(name) for name in metadata["motions"]), *(arrays[f"forest_exemplar_{name}"] for name in _EXEMPLARS)
     )

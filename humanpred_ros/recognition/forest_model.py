@@ -16,7 +16,7 @@ from humanpred_ros.motion.motion import Motion, MotionLibrary, unwrap_angles
 from humanpred_ros.recognition.calibration import Calibration
 from humanpred_ros.recognition.class_mixtures import check_trainable
 from humanpred_ros.recognition.forest import Forest, IntArray, Tree, grow_tree
-from humanpred_ros.recognition.forest_config import ForestConfig
+from humanpred_ros.recognition.forest_config import ForestSettings
 from humanpred_ros.recognition.novelty import Novelty, distances_without, motion_distances
 from humanpred_ros.recognition.reach_features import (
     N_FEATURES,
@@ -120,7 +120,7 @@ class ForestModel:
         place: where the library's people stand.
     """
 
-    config: ForestConfig
+    config: ForestSettings
     labels: tuple[int, ...]
     exemplars: Exemplars
     trees: tuple[Tree, ...]
@@ -147,7 +147,7 @@ class ForestModel:
         return begin.astype(np.int64), (order // self.forest.n_trees).astype(np.int32)
 
 
-def fit_forest(library: MotionLibrary, human: HumanModel, config: ForestConfig) -> ForestModel:
+def fit_forest(library: MotionLibrary, human: HumanModel, config: ForestSettings) -> ForestModel:
     """Learn from a library; the same library, settings and seed give the same model.
 
     Raises:
@@ -174,7 +174,7 @@ def refit_without(model: ForestModel, name: str) -> ForestModel:
     return _finished(model.labels, exemplars, trees, config, distances)
 
 
-def drawn_motions(names: tuple[str, ...], config: ForestConfig) -> NDArray[np.bool_]:
+def drawn_motions(names: tuple[str, ...], config: ForestSettings) -> NDArray[np.bool_]:
     """Return (K, B) which motions each tree learns from: a motion's lot does not depend on the other motions."""
     lots = [np.random.default_rng([config.seed, *name.encode()]).random(config.n_trees) for name in names]
     drawn: NDArray[np.bool_] = np.array(lots) < config.motion_share
@@ -182,13 +182,13 @@ def drawn_motions(names: tuple[str, ...], config: ForestConfig) -> NDArray[np.bo
     return drawn
 
 
-def _grow(exemplars: Exemplars, drawn: NDArray[np.bool_], b: int, config: ForestConfig) -> Tree:
+def _grow(exemplars: Exemplars, drawn: NDArray[np.bool_], b: int, config: ForestSettings) -> Tree:
     mine = drawn[exemplars.motion]
     label = exemplars.label[exemplars.motion][mine]
     return grow_tree(exemplars.features[mine], label, config.seed + b, config)
 
 
-def joined(labels: tuple[int, ...], exemplars: Exemplars, trees: Sequence[Tree], config: ForestConfig) -> Forest:
+def joined(labels: tuple[int, ...], exemplars: Exemplars, trees: Sequence[Tree], config: ForestSettings) -> Forest:
     """Return the forest of trees that were grown on these exemplars.
 
     Raises:
@@ -207,7 +207,7 @@ def _finished(
     labels: tuple[int, ...],
     exemplars: Exemplars,
     trees: list[Tree],
-    config: ForestConfig,
+    config: ForestSettings,
     distances: Float32Array | None = None,
 ) -> ForestModel:
     forest = joined(labels, exemplars, trees, config)

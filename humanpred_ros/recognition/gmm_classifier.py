@@ -9,14 +9,15 @@ import numpy as np
 
 from humanpred_ros.errors import ArrayError, MotionError, UsageError
 from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary, is_angle, unwrap_angles
 from humanpred_ros.recognition.class_mixtures import ClassMixtures, fit_class_mixtures, refit_class_mixtures
-from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
+from humanpred_ros.recognition.gmm_config import ONLINE_SETTINGS, GmmSettings
 from humanpred_ros.recognition.mixture_bank import MixtureBank
 from humanpred_ros.recognition.phase import phase_frames
 
-__all__ = ["GmmClassifier", "GmmConfig"]
+__all__ = ["GmmClassifier", "GmmSettings"]
 
 _TURN = 2 * np.pi
 
@@ -32,31 +33,39 @@ class _Seen(NamedTuple):
     total: FloatArray  # (C,) summed log densities
 
 
-class GmmClassifier(IntentClassifier):
-    """P(C_m | x_1 .. x_t) from the sum (P1) or the mean (published code) of ln p(x_i | C_m).
+class GmmClassifier(Classifier):
+    """P1: a Gaussian mixture per class over phase and posture.
+
+    P(C_m | x_1 .. x_t) follows from the sum (P1) or the mean (published code) of ln p(x_i | C_m).
 
     Each posture is judged on its own, so one update costs the same whatever came before; a window is a ring
     buffer of the last log densities.
 
     Attributes:
-        config: the settings; `with_online` settings take effect at construction.
+        settings: online ones take effect at construction.
         classes: what was learned, None before `fit`.
     """
 
-    def __init__(self, config: GmmConfig | None = None, classes: ClassMixtures | None = None) -> None:
+    settings_type = GmmSettings
+    online_settings = ONLINE_SETTINGS
+    settings: GmmSettings
+
+    def __init__(
+        self, human: HumanModel, settings: GmmSettings | None = None, classes: ClassMixtures | None = None
+    ) -> None:
         """Make a classifier to fit, or, with `classes`, one that is ready for use.
 
         Raises:
             UsageError: classes that were learned with the phase and settings without it, or the reverse.
         """
-        self.config = GmmConfig() if config is None else config
+        super().__init__(human, settings)
         self.classes: ClassMixtures | None = None
         if classes is not None:
             self._take(classes)
 
     def fit(self, library: MotionLibrary) -> GmmClassifier:
         """Learn one mixture per class; return self. Raises LibraryFormatError if the library does not suffice."""
-        self._take(fit_class_mixtures(library, self.config))
+        self._take(fit_class_mixtures(library, self.settings))
         return self
 
     def fit_without(self, library: MotionLibrary, name: str) -> GmmClassifier:
@@ -64,13 +73,15 @@ class GmmClassifier(IntentClassifier):
         label = library.find(name).label
         rest = library.select(lambda motion: motion.name != name)
         if label is None:
-            return GmmClassifier(self.config).fit(rest)
-        return GmmClassifier(self.config, refit_class_mixtures(self._fitted(), rest, label, self.config))
+            return GmmClassifier(self.human, self.settings).fit(rest)
+        return GmmClassifier(
+            self.human, self.settings, refit_class_mixtures(self._fitted(), rest, label, self.settings)
+        )
 
     @property
     def nominal_duration_s(self) -> float:
         """Expected duration of a motion: the setting if given, else the library's median."""
-        return self.config.nominal_duration_s or self._fitted().nominal_duration_s
+        return self.settings.nominal_duration_s or self._fitted().nominal_duration_s
 
     def start(self) -> None:
         """Forget what was observed: the next posture is the first of a new motion."""
@@ -98,7 +109,7 @@ class GmmClassifier(IntentClassifier):
         turns = before.turns + np.round((q - before.q) / _TURN) * self._is_angle
         x = q - _TURN * turns
         if classes.has_phase:
-            phase = phase_frames(t_s - before.first_s, self.nominal_duration_s, self.config.n_phase_frames)
+            phase = phase_frames(t_s - before.first_s, self.nominal_duration_s, self.settings.n_phase_frames)
             x = np.concatenate([[phase], x])
         log_density = self._usable(self._bank.log_density(x))
 
@@ -111,7 +122,7 @@ class GmmClassifier(IntentClassifier):
             # Summed anew: subtracting what leaves the window would pile up rounding for as long as it runs.
             total = self._ring[:counted].sum(axis=0)
         self._seen = _Seen(n_frames, before.first_s, t_s, q.copy(), turns, total)
-        evidence = total / counted if self.config.evidence == "mean" else total.copy()
+        evidence = total / counted if self.settings.evidence == "mean" else total.copy()
         return ClassPosterior(classes.labels, self._posterior(evidence), evidence, t_s, n_frames)
 
     def evidence(self, motion: Motion) -> FloatArray:
@@ -127,43 +138,43 @@ class GmmClassifier(IntentClassifier):
             raise UsageError(
                 f"classifier: wanted a motion of the DoFs {classes.dof_names}, {motion.name} has {motion.dof_names}"
             )
-        postures = unwrap_angles(motion).q if self.config.unwrap_angles else motion.q
+        postures = unwrap_angles(motion).q if self.settings.unwrap_angles else motion.q
         x = postures
         if classes.has_phase:
-            phase = phase_frames(motion.t_s - motion.t_s[0], self.nominal_duration_s, self.config.n_phase_frames)
+            phase = phase_frames(motion.t_s - motion.t_s[0], self.nominal_duration_s, self.settings.n_phase_frames)
             x = np.column_stack([phase, x])
         log_density = self._usable(np.column_stack([mixture.log_density(x) for mixture in classes.mixtures]))
         total = np.cumsum(log_density, axis=0)
         counted = np.arange(1, len(x) + 1)
-        if self.config.window_frames is not None:
-            window = min(self.config.window_frames, len(x))
+        if self.settings.window_frames is not None:
+            window = min(self.settings.window_frames, len(x))
             windows = np.lib.stride_tricks.sliding_window_view(log_density, window, axis=0)
             total = np.concatenate([total[: window - 1], windows.sum(axis=-1)])
             counted = np.minimum(counted, window)
-        return total / counted[:, None] if self.config.evidence == "mean" else total
+        return total / counted[:, None] if self.settings.evidence == "mean" else total
 
     def posteriors(self, motion: Motion) -> FloatArray:
         """Return (T, C) the posterior after each posture of a whole motion, computed at once."""
         return self._posterior(self.evidence(motion))
 
     def with_online(self, **changes: object) -> GmmClassifier:
-        """Return a fresh classifier with the same mixtures and other online settings (see `GmmConfig`)."""
-        return GmmClassifier(self.config.with_online(**changes), self._fitted())
+        """Return a fresh classifier with the same mixtures and other online settings (see `GmmSettings`)."""
+        return GmmClassifier(self.human, self.settings.with_online(**changes), self._fitted())
 
     def _take(self, classes: ClassMixtures) -> None:
-        if classes.has_phase != self.config.phase_feature:
+        if classes.has_phase != self.settings.phase_feature:
             raise UsageError(
-                f"classifier: settings say phase_feature={self.config.phase_feature}, the mixtures have "
+                f"classifier: settings say phase_feature={self.settings.phase_feature}, the mixtures have "
                 f"{'a' if classes.has_phase else 'no'} phase; use the settings the mixtures were fitted with"
             )
         self.classes = classes
         # Turns of what is not an angle, or is not to be unwrapped, count nothing.
-        self._is_angle = np.array([self.config.unwrap_angles and is_angle(name) for name in classes.dof_names], float)
+        self._is_angle = np.array([self.settings.unwrap_angles and is_angle(name) for name in classes.dof_names], float)
         self._bank = MixtureBank(classes.mixtures)
-        window = self.config.window_frames
+        window = self.settings.window_frames
         self._ring = None if window is None else np.zeros((window, len(classes.labels)))
         self._log_prior = np.zeros(len(classes.labels))
-        if self.config.prior == "frequency":
+        if self.settings.prior == "frequency":
             count = np.asarray(classes.motions_per_class, dtype=np.float64)
             self._log_prior = np.log(count / count.sum())
         self.start()
@@ -179,7 +190,7 @@ class GmmClassifier(IntentClassifier):
                 "classifier: a posture is so far from everything learned that its density cannot be computed; "
                 "check units and order of the degrees of freedom, and the tracker"
             )
-        floor = self.config.frame_log_density_floor
+        floor = self.settings.frame_log_density_floor
         return log_density if floor is None else np.maximum(log_density, floor)
 
     def _posterior(self, evidence: FloatArray) -> FloatArray:

@@ -1,90 +1,71 @@
-"""One place for the settings of P1's classifier, shared by training, the model file and the node."""
+"""The settings of P1's classifier, shared by training, the model file and the node."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from humanpred_ros.errors import UsageError
+from humanpred_ros.errors import SettingsError, UsageError
 from humanpred_ros.recognition.mixture import MixtureConfig
+from humanpred_ros.settings import Settings, setting
 
 #: What may change on a trained classifier without training it again.
 ONLINE_SETTINGS = ("evidence", "window_frames", "frame_log_density_floor", "prior", "nominal_duration_s")
 
 
-@dataclass(frozen=True)
-class GmmConfig:
-    """P1's classifier (P1 III; facts 3).
+class GmmSettings(Settings):
+    """P1's classifier (P1 III); `ONLINE_SETTINGS` may change on a trained one."""
 
-    Fixed by training:
+    n_components: int = setting(40, "Gaussians per class; the published models have 40, P1's text states 20", low=1)
+    phase_feature: bool = setting(True, "make the frame number a feature beside the posture, unscaled, as P1 does")
+    unwrap_angles: bool = setting(
+        False,
+        "make every angle of a motion continuous from its first posture on, offline and online; false as the authors, "
+        "who used their recordings as they came, with jumps of a whole turn",
+    )
+    covariance_floor: float = setting(1e-5, "added to the diagonal of every covariance", low=0.0)
+    n_phase_frames: int = setting(100, "postures a motion is resampled to; phases run from 0 to one less", low=2)
+    seed: int = setting(0, "seed of the k-means seeds; each class draws from its own stream", low=0)
+    max_iterations: int = setting(200, "EM stops after so many iterations at the latest", low=1)
+    tolerance: float = setting(1e-4, "EM stops when the mean log density of a sample changes by less", low=0.0)
+    evidence: Literal["sum", "mean"] = setting(
+        "sum",
+        "sum adds the log densities of the observed postures (P1 III); mean averages them, as the published code does, "
+        "which leaves the decision the same and the posterior much softer",
+    )
+    window_frames: int | None = setting(
+        None, "count only the last so many postures; none counts all; 10 is what the published code did", low=1
+    )
+    frame_log_density_floor: float | None = setting(
+        None, "no posture counts less than this; the published code had -708; none sets no floor"
+    )
+    prior: Literal["uniform", "frequency"] = setting(
+        "uniform", "probability of the classes at first: uniform (P1), or their frequency in the library"
+    )
+    nominal_duration_s: float | None = setting(
+        None, "expected duration of a motion, from which the phase follows; none takes the library's median", unit="s"
+    )
 
-    Attributes:
-        n_components: Gaussians per class; 40 as in the published models, P1's text states 20.
-        phase_feature: let the frame number be a feature beside the posture, unscaled, as P1 does.
-        unwrap_angles: make every angle of a motion continuous from its first posture on, offline and online. Off, as
-            the authors used their recordings as they came, jumps of a whole turn included (facts 1, 3).
-        covariance_floor: added to the diagonal of every covariance.
-        n_phase_frames: postures a motion is resampled to; phases run from 0 to n_phase_frames - 1.
-        seed: of the k-means seeds; each class draws from its own stream.
-        max_iterations, tolerance: when EM stops.
-
-    Free to change on a trained model:
-
-        evidence: "sum" adds the log densities of the observed postures (P1 III); "mean" averages them, which
-            leaves the decision the same and the posterior much softer (the published code).
-        window_frames: count only the last so many postures; None counts all. 10 is what the published code did.
-        frame_log_density_floor: no posture counts less than this; None sets no floor. The published code
-            had the logarithm of the smallest normal double, about -708.
-        prior: "uniform" (P1), or "frequency" of each class's motions in the library.
-        nominal_duration_s: expected duration of a motion, from which the phase follows; None takes the
-            library's median.
-    """
-
-    n_components: int = MixtureConfig.n_components
-    phase_feature: bool = True
-    unwrap_angles: bool = False
-    covariance_floor: float = MixtureConfig.covariance_floor
-    n_phase_frames: int = 100
-    seed: int = 0
-    max_iterations: int = MixtureConfig.max_iterations
-    tolerance: float = MixtureConfig.tolerance
-    evidence: Literal["sum", "mean"] = "sum"
-    window_frames: int | None = None
-    frame_log_density_floor: float | None = None
-    prior: Literal["uniform", "frequency"] = "uniform"
-    nominal_duration_s: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.evidence not in ("sum", "mean"):
-            raise UsageError(f"evidence: wanted 'sum' or 'mean', got {self.evidence!r}")
-        if self.prior not in ("uniform", "frequency"):
-            raise UsageError(f"prior: wanted 'uniform' or 'frequency', got {self.prior!r}")
-        if self.window_frames is not None and self.window_frames < 1:
-            raise UsageError(f"window_frames: wanted at least 1 or None for all, got {self.window_frames}")
-        if self.nominal_duration_s is not None and not 0 < self.nominal_duration_s < float("inf"):
-            raise UsageError(f"nominal_duration_s: wanted a positive time or None, got {self.nominal_duration_s}")
-        if self.frame_log_density_floor is not None and not self.frame_log_density_floor < float("inf"):
-            raise UsageError(f"frame_log_density_floor: wanted a number or None, got {self.frame_log_density_floor}")
-        if self.n_phase_frames < 2:
-            raise UsageError(f"n_phase_frames: wanted at least 2, got {self.n_phase_frames}")
-        if self.seed < 0:
-            raise UsageError(f"seed: wanted a number of at least 0, got {self.seed}")
-        _ = self.mixture  # refuses impossible mixture settings
+    def check(self) -> None:
+        if self.nominal_duration_s is not None and not self.nominal_duration_s > 0.0:
+            raise SettingsError(
+                f"GmmSettings nominal_duration_s: wanted a positive time or none, got {self.nominal_duration_s}"
+            )
 
     @property
     def mixture(self) -> MixtureConfig:
         """The part that concerns fitting one mixture."""
         return MixtureConfig(self.n_components, self.covariance_floor, self.tolerance, self.max_iterations)
 
-    def with_phase(self) -> GmmConfig:
+    def with_phase(self) -> GmmSettings:
         """Return these settings with the phase as a feature."""
-        return replace(self, phase_feature=True)
+        return self.replaced(phase_feature=True)
 
-    def with_online(self, **changes: Any) -> GmmConfig:
+    def with_online(self, **changes: Any) -> GmmSettings:
         """Return these settings with some of `ONLINE_SETTINGS` replaced.
 
         Raises:
-            UsageError: a setting that a trained model cannot change any more, or an impossible value.
+            UsageError: a setting that a trained model cannot change any more.
+            SettingsError: an impossible value.
         """
         fixed = sorted(set(changes) - set(ONLINE_SETTINGS))
         if fixed:
@@ -92,4 +73,4 @@ class GmmConfig:
                 f"a trained classifier cannot change {', '.join(fixed)}; it can change {', '.join(ONLINE_SETTINGS)}; "
                 "train a new model for anything else"
             )
-        return replace(self, **changes)
+        return self.replaced(**changes)

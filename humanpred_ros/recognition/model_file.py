@@ -8,7 +8,6 @@ after the attributes they hold (`forest_file`). The same model gives the same by
 
 from __future__ import annotations
 
-import dataclasses
 import io
 import json
 import os
@@ -24,7 +23,7 @@ from humanpred_ros.errors import HumanPredError, ModelFileError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.recognition.class_mixtures import ClassMixtures
 from humanpred_ros.recognition.forest_file import forest_arrays, forest_metadata, read_forest
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.recognition.mixture import GaussianMixture
 from humanpred_ros.recognition.training import TrainedModel, train_model
 
@@ -111,7 +110,7 @@ def _metadata(model: TrainedModel) -> dict[str, Any]:
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "package_version": model.package_version,
-        "config": dataclasses.asdict(model.config),
+        "config": model.config.model_dump(),
         "forest": forest_metadata(model.forest),
         "labels": model.labels,
         "motions_per_class": model.classes.motions_per_class,
@@ -162,7 +161,7 @@ def _model(metadata: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Trained
         float(metadata["nominal_duration_s"]),
     )
     return TrainedModel(
-        GmmConfig(**metadata["config"]),
+        GmmSettings(**metadata["config"]),
         classes,
         arrays["regressed_q"],
         arrays["goals_m"],

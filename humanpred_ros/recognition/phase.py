@@ -6,7 +6,7 @@ import numpy as np
 
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.motion import Motion, unwrap_angles
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.gmm_config import GmmSettings
 
 
 def phase_frames(elapsed_s: FloatArray | float, duration_s: float, n_phase_frames: int) -> FloatArray:
@@ -30,7 +30,7 @@ def resampled_postures(motion: Motion, n_phase_frames: int) -> FloatArray:
     return motion.q[index]
 
 
-def training_samples(motion: Motion, config: GmmConfig) -> FloatArray:
+def training_samples(motion: Motion, config: GmmSettings) -> FloatArray:
     """Return the (n_phase_frames, F) samples a motion contributes to its class; F = D, or 1 + D with phase first."""
     postures = resampled_postures(unwrap_angles(motion) if config.unwrap_angles else motion, config.n_phase_frames)
     if not config.phase_feature:

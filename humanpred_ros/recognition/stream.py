@@ -13,7 +13,7 @@ from humanpred_ros.errors import HumanPredError, UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
+from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
 from humanpred_ros.recognition.onset import BodyPoints, MotionState, OnsetConfig, OnsetDetector
 
 
@@ -48,7 +48,7 @@ class StreamConfig:
             raise UsageError(f"stream: wanted unknown_at_rest within [0, 1), got {self.unknown_at_rest}")
 
 
-class StreamClassifier(IntentClassifier):
+class StreamClassifier(Classifier):
     """Runs any classifier on an endless stream: prior at rest, a new motion at each onset.
 
     At rest the posterior is the prior, and the classifier is not asked. When an onset is found, it is started anew and
@@ -61,7 +61,7 @@ class StreamClassifier(IntentClassifier):
 
     def __init__(
         self,
-        classifier: IntentClassifier,
+        classifier: Classifier,
         config: StreamConfig | None = None,
         *,
         human: HumanModel | None = None,
@@ -91,7 +91,7 @@ class StreamClassifier(IntentClassifier):
         self.start()
 
     @property
-    def state(self) -> MotionState | None:
+    def motion_state(self) -> MotionState | None:
         """Whether the person moves, and since when; None before the first posture."""
         return self._detector.state
 
@@ -115,7 +115,10 @@ class StreamClassifier(IntentClassifier):
         """Return a new one whose classifier is fitted without one motion; that one's rest does not count either."""
         name = library.find(name).name
         other = StreamClassifier(
-            self.classifier.fit_without(library, name), self.config, human=self._points.human, prior=self._prior
+            self.classifier.fit_without(library, name),  # type: ignore[attr-defined]
+            self.config,
+            human=self._points.human,
+            prior=self._prior,
         )
         other._learn({key: value for key, value in self._lead_ins_s.items() if key != name})
         return other

@@ -9,16 +9,18 @@ from types import MappingProxyType
 import numpy as np
 
 import humanpred_ros
+from humanpred_ros import plugins
 from humanpred_ros.errors import ArrayError, HumanModelError, UsageError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.recognition.class_mixtures import ClassMixtures, fit_class_mixtures
+from humanpred_ros.recognition.classifier import Classifier
 from humanpred_ros.recognition.forest_classifier import ForestClassifier
-from humanpred_ros.recognition.forest_config import ForestConfig
+from humanpred_ros.recognition.forest_config import ForestSettings
 from humanpred_ros.recognition.forest_model import ForestModel, fit_forest
 from humanpred_ros.recognition.gmm_classifier import GmmClassifier
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.recognition.mixture import GaussianMixture
 from humanpred_ros.recognition.regression import regress
 
@@ -49,7 +51,7 @@ class TrainedModel:
         ArrayError: arrays that do not fit each other, or are not finite.
     """
 
-    config: GmmConfig
+    config: GmmSettings
     classes: ClassMixtures
     regressed_q: FloatArray
     goals_m: FloatArray
@@ -102,20 +104,42 @@ class TrainedModel:
         t_s = np.linspace(0.0, self.nominal_duration_s, len(q))
         return Motion(t_s, q, self.dof_names, label, 0, self.frame_id)
 
-    def gmm_classifier(self, **online: object) -> GmmClassifier:
-        """Return P1's classifier ready for use, nothing observed yet; `online` changes settings (see `GmmConfig`)."""
-        return GmmClassifier(self.config.with_online(**online), self.classes)
+    def classifier(self, name: str, human: HumanModel, **online: object) -> Classifier:
+        """Return a classifier by name, ready for use, nothing observed yet.
+
+        Args:
+            name: of a classifier that was trained.
+            human: whose postures come.
+            online: settings that differ from those trained with (`Classifier.online_settings`).
+
+        Raises:
+            UsageError: unknown name, a classifier that was not trained, or a setting that a trained one cannot change.
+        """
+        plugins.check_name(plugins.CLASSIFIERS, name)
+        if name == "gmm":
+            return self.gmm_classifier(human, **online)
+        if name != "forest":
+            raise UsageError(f"trained model: wanted one with the classifier {name}, got one with forest and gmm")
+        if online:
+            raise UsageError(
+                f"classifier {name}: wanted no settings, got {', '.join(online)}; a trained one cannot change them"
+            )
+        return self.forest_classifier(human)
+
+    def gmm_classifier(self, human: HumanModel, **online: object) -> GmmClassifier:
+        """Return P1's classifier ready for use, nothing observed yet; `online` changes settings (see `GmmSettings`)."""
+        return GmmClassifier(human, self.config.with_online(**online), self.classes)
 
     def forest_classifier(self, human: HumanModel) -> ForestClassifier:
         """Return the default classifier ready for use, nothing observed yet."""
-        return ForestClassifier(human=human, model=self.forest)
+        return ForestClassifier(human, model=self.forest)
 
 
 def train_model(
     library: MotionLibrary,
     human: HumanModel,
-    config: GmmConfig | None = None,
-    forest_config: ForestConfig | None = None,
+    config: GmmSettings | None = None,
+    forest_config: ForestSettings | None = None,
 ) -> TrainedModel:
     """Learn both classifiers, expected motions and goals from a library.
 
@@ -125,7 +149,7 @@ def train_model(
         LibraryFormatError: a library that does not suffice (see `fit_class_mixtures`).
         HumanModelError: a library of other DoFs than the human's.
     """
-    config = GmmConfig() if config is None else config
+    config = GmmSettings() if config is None else config
     human.check_dofs(library.dof_names)
     classes = fit_class_mixtures(library, config)
     phase = np.arange(config.n_phase_frames, dtype=np.float64)
@@ -138,7 +162,7 @@ def train_model(
         library.frame_id,
         human.signature,
         library.name,
-        fit_forest(library, human, ForestConfig() if forest_config is None else forest_config),
+        fit_forest(library, human, ForestSettings() if forest_config is None else forest_config),
         library.provenance,
         tuple(motion.name for motion in library),
     )
@@ -160,7 +184,7 @@ def farthest_palm_m(human: HumanModel, q: FloatArray) -> FloatArray:
     return farthest
 
 
-def _joint_mixtures(library: MotionLibrary, config: GmmConfig, classes: ClassMixtures) -> tuple[GaussianMixture, ...]:
+def _joint_mixtures(library: MotionLibrary, config: GmmSettings, classes: ClassMixtures) -> tuple[GaussianMixture, ...]:
     """Return mixtures over phase and posture; a classifier without the phase needs them beside its own."""
     if classes.has_phase:
         return classes.mixtures

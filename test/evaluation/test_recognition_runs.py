@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_library import small_library
 
+from humanpred_ros import plugins
 from humanpred_ros.errors import ArrayError, LibraryFormatError, MotionError, SettingsError, UsageError
 from humanpred_ros.evaluation import recognition
 from humanpred_ros.evaluation.outputs import plain
@@ -33,17 +34,16 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.reaching.place_classifier import GoalClassifier
 from humanpred_ros.reaching.place_model import GoalConfig
-from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
-from humanpred_ros.recognition.forest_config import ForestConfig
-from humanpred_ros.recognition.gmm_config import GmmConfig
-from humanpred_ros.recognition.registry import CLASSIFIERS
+from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
+from humanpred_ros.recognition.forest_config import ForestSettings
+from humanpred_ros.recognition.gmm_config import GmmSettings
 
-GMM = ClassifierChoice("gmm", GmmConfig(n_components=2))
+GMM = ClassifierChoice("gmm", GmmSettings(n_components=2))
 LIBRARY = small_library(n_classes=3, n_motions=4, n_frames=30)
 SETTINGS = RecognitionSettings(library="small", speeds=(0.8, 1.0), seed=3, jobs=1)
 
 
-class Recorder(IntentClassifier):
+class Recorder(Classifier):
     """Notes what it learned and saw; says 0, 1, 2, .. in turn, and that the motion is unknown as time goes by."""
 
     refuses: tuple[int, ...] = ()
@@ -270,16 +270,16 @@ def test_of_two_classes_none_is_left_out_whole_and_all_else_is_done(monkeypatch:
 
 
 def test_every_classifier_can_be_evaluated_and_reaching_too() -> None:
-    assert list(EVALUATED) == [*CLASSIFIERS, REACHING]
+    assert list(EVALUATED) == [*plugins.names(plugins.CLASSIFIERS), REACHING]
     made = make_evaluated(REACHING, GoalConfig(n_postures=7))
     assert isinstance(made, GoalClassifier)
     assert made.config.n_postures == 7
 
 
 @pytest.mark.parametrize(
-    ("name", "config"), [(REACHING, GmmConfig()), ("forest", GoalConfig()), ("gmm", ForestConfig()), ("none", None)]
+    ("name", "config"), [(REACHING, GmmSettings()), ("forest", GoalConfig()), ("gmm", ForestSettings()), ("none", None)]
 )
-def test_unknown_names_and_foreign_settings_are_refused(name: str, config: GmmConfig | GoalConfig | None) -> None:
+def test_unknown_names_and_foreign_settings_are_refused(name: str, config: GmmSettings | GoalConfig | None) -> None:
     with pytest.raises(UsageError, match=r"wanted (its own settings|one of forest, gmm, reaching)"):
         make_evaluated(name, config)
 
@@ -293,7 +293,7 @@ def test_a_left_out_motion_is_judged_with_its_place_and_a_left_out_class_without
 
 
 def test_what_a_classifier_cannot_learn_is_told_in_its_words() -> None:
-    too_many = ClassifierChoice("gmm", GmmConfig(n_components=500))
+    too_many = ClassifierChoice("gmm", GmmSettings(n_components=500))
     with pytest.raises(LibraryFormatError, match="use fewer components"):
         evaluate_classifier(too_many, LIBRARY, SETTINGS)
 

@@ -27,8 +27,8 @@ from humanpred_ros.evaluation.reproduce import compare_bags, replay_run
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion
+from humanpred_ros.occupancy.predictor import PredictorRequest, make_predictor
 from humanpred_ros.planning.replanner import MultiGoalReplanner
-from humanpred_ros.predictors.factory import make_predictor
 from humanpred_ros.recognition.model_file import load_model
 from humanpred_ros.robot.scene import load_scene
 
@@ -94,7 +94,9 @@ def fields_of(fields: dict[str, NDArray[Any]], label: int) -> float:
 def test_occupancy_and_posterior_are_those_of_the_library_called_directly(run: Path, bag: BagReader) -> None:
     scene, human = load_scene(OPTIONS.scene), HumanModel.kinect12()
     model = load_model(run / "model.npz", human)
-    predictor = make_predictor(OPTIONS.predictor, model, human, scene.grid, scene.T_world_human, onsets=True)
+    predictor = make_predictor(
+        OPTIONS.predictor, PredictorRequest(human, scene.grid, scene.T_world_human, model, onsets=True)
+    )
     clouds, goals = by_stamp(bag, topics.OCCUPANCY), by_stamp(bag, topics.HUMAN_GOALS)
     origin_ns = next(iter(clouds))
     for stamp, message in by_stamp(bag, POSTURES).items():
@@ -157,7 +159,9 @@ def test_the_bag_is_complete_for_other_readers(run: Path) -> None:
 def test_a_stepped_run_decides_as_the_library_called_directly(run: Path, bag: BagReader, motion: Motion) -> None:
     scene, human = load_scene(OPTIONS.scene), HumanModel.kinect12()
     model = load_model(run / "model.npz", human)
-    predictor = make_predictor(OPTIONS.predictor, model, human, scene.grid, scene.T_world_human, onsets=True)
+    predictor = make_predictor(
+        OPTIONS.predictor, PredictorRequest(human, scene.grid, scene.T_world_human, model, onsets=True)
+    )
     settings = StompPlannerSettings(period_s=period_of(motion, OPTIONS.steps), seed=OPTIONS.seed, threads=1)
     replanner = MultiGoalReplanner.for_scene(scene, settings.replanner_config())
     n_held = int(OPTIONS.hold_last_s / motion.period_s)

@@ -9,7 +9,7 @@ from small_library import small_library
 from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.occupancy.current import CurrentOccupancyPredictor
+from humanpred_ros.occupancy.current import AccumulatedOccupancyPredictor, CurrentOccupancyPredictor
 from humanpred_ros.occupancy.swept_volume import BodyVoxeliser, swept_volume
 
 HUMAN = HumanModel.kinect12()
@@ -29,7 +29,7 @@ def test_one_exactly_where_the_body_is_and_no_memory() -> None:
 
 
 def test_accumulating_ends_with_the_swept_volume_and_start_clears_it() -> None:
-    predictor = CurrentOccupancyPredictor(HUMAN, GRID, T, accumulate=True)
+    predictor = AccumulatedOccupancyPredictor(HUMAN, GRID, T)
     before = np.zeros(GRID.shape, dtype=np.float32)
     kept = []
     for q, t_s in zip(MOTION.q, MOTION.t_s, strict=True):

@@ -24,7 +24,7 @@ from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.placement import placed, turn_and_shift
 from humanpred_ros.occupancy.forecast import ForecastConfig, ForecastPredictor
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
-from humanpred_ros.recognition.forest_classifier import ForestClassifier, ForestConfig
+from humanpred_ros.recognition.forest_classifier import ForestClassifier, ForestSettings
 
 HUMAN = HumanModel.kinect12()
 GRID = VoxelGrid((-1.5, -1.5, -0.4), 0.05, (60, 60, 48))
@@ -34,11 +34,11 @@ N_FRAMES = 60
 
 @cache
 def fitted() -> ForestClassifier:
-    return ForestClassifier(ForestConfig(n_trees=40)).fit(small_library(3, 10, N_FRAMES, there_and_back=True))
+    return ForestClassifier(HUMAN, ForestSettings(n_trees=40)).fit(small_library(3, 10, N_FRAMES, there_and_back=True))
 
 
 def predictor(grid: VoxelGrid = GRID, T_world_human: FloatArray | None = None, **changes: float) -> ForecastPredictor:
-    forest = ForestClassifier(model=fitted().model)
+    forest = ForestClassifier(HUMAN, model=fitted().model)
     T = np.eye(4) if T_world_human is None else T_world_human
     return ForecastPredictor(forest, grid, T, config=replace(ForecastConfig(), **changes))
 
@@ -171,7 +171,7 @@ def test_says_where_it_takes_the_person_to_stand() -> None:
 
 
 def test_a_recogniser_may_run_the_forest() -> None:
-    forest = ForestClassifier(model=fitted().model)
+    forest = ForestClassifier(HUMAN, model=fitted().model)
 
     class Twice(ForestClassifier):
         """Starts anew before every posture."""
@@ -183,7 +183,7 @@ def test_a_recogniser_may_run_the_forest() -> None:
             forest.start()
             return replace(forest.update(q, t_s), n_frames=77)
 
-    p = ForecastPredictor(forest, GRID, np.eye(4), recogniser=Twice())
+    p = ForecastPredictor(forest, GRID, np.eye(4), recogniser=Twice(HUMAN))
     motion = unseen(1)
     shown(p, motion, 30)
     prediction = p.update(motion.q[30], 10.0)
@@ -203,7 +203,7 @@ def test_people_outside_the_grid_occupy_nothing() -> None:
 
 def test_what_is_wrong_is_named() -> None:
     with pytest.raises(UsageError, match="has learned"):
-        ForecastPredictor(ForestClassifier(), GRID, np.eye(4))
+        ForecastPredictor(ForestClassifier(HUMAN), GRID, np.eye(4))
     with pytest.raises(ArrayError, match="rotation"):
         ForecastPredictor(fitted(), GRID, np.diag([1.0, 2.0, 1.0, 1.0]))
     for wrong in ({"n_futures": 33}, {"n_futures": 0}, {"thinning": 0}, {"kept": 1.5}, {"fade": 0.0}, {"spread": -0.1}):
@@ -223,7 +223,7 @@ def test_calibrated_and_far_better_than_the_present_on_the_papers_recordings() -
     learned = library.select(lambda motion: motion.index in range(4, 9))
     grid = grid_around(library, HUMAN)
     body = BodyVoxeliser(HUMAN, grid, np.eye(4))
-    p = ForecastPredictor(ForestClassifier().fit(learned), grid, np.eye(4))
+    p = ForecastPredictor(ForestClassifier(HUMAN).fit(learned), grid, np.eye(4))
     error, present, missed, table = 0.0, 0.0, [], Reliability.none()
     for label in library.labels:
         motion = library.find(f"{label}/{10 + label}")

@@ -11,9 +11,9 @@ from small_library import small_library
 from humanpred_ros.errors import ArrayError, LibraryFormatError
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.recognition.class_mixtures import ClassMixtures, check_trainable, fit_class_mixtures
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.gmm_config import GmmSettings
 
-CONFIG = GmmConfig(n_components=4, max_iterations=20)
+CONFIG = GmmSettings(n_components=4, max_iterations=20)
 
 
 def same(a: ClassMixtures, b: ClassMixtures, label: int) -> bool:
@@ -36,7 +36,7 @@ def test_neither_order_nor_other_classes_change_a_class() -> None:
 def test_seed_decides_and_only_the_seed() -> None:
     library = small_library()
     first, again = (fit_class_mixtures(library, CONFIG) for _ in range(2))
-    other = fit_class_mixtures(library, replace(CONFIG, seed=1))
+    other = fit_class_mixtures(library, CONFIG.replaced(seed=1))
     assert all(same(first, again, label) for label in first.labels)
     assert not all(same(first, other, label) for label in first.labels)
 
@@ -49,7 +49,7 @@ def test_features_counts_and_duration() -> None:
     assert classes.nominal_duration_s == pytest.approx(1.2)
     assert classes.motions_per_class == (11, 11)
     assert (classes.n_features, classes.has_phase) == (13, True)
-    without = fit_class_mixtures(library, replace(CONFIG, phase_feature=False))
+    without = fit_class_mixtures(library, CONFIG.replaced(phase_feature=False))
     assert (without.n_features, without.has_phase) == (12, False)
 
 
@@ -72,7 +72,7 @@ def test_libraries_that_do_not_suffice_are_refused() -> None:
     with pytest.raises(LibraryFormatError, match="class 20 no degree of freedom ever changes"):
         fit_class_mixtures(replace(library, motions=still), CONFIG)
     with pytest.raises(LibraryFormatError, match="class 0: mixture: wanted at least as many distinct samples"):
-        fit_class_mixtures(small_library(n_motions=2), GmmConfig(n_components=201))
+        fit_class_mixtures(small_library(n_motions=2), GmmSettings(n_components=201))
 
 
 def test_a_motion_that_is_there_twice_is_named() -> None:

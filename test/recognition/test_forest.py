@@ -6,9 +6,9 @@ import numpy as np
 from sklearn.tree import ExtraTreeClassifier
 
 from humanpred_ros.recognition.forest import Forest, add_resemblance, grow_tree
-from humanpred_ros.recognition.forest_config import ForestConfig
+from humanpred_ros.recognition.forest_config import ForestSettings
 
-CONFIG = ForestConfig(min_samples_leaf=3)
+CONFIG = ForestSettings(min_samples_leaf=3)
 RNG = np.random.default_rng(0)
 X = RNG.normal(size=(400, 6)).astype(np.float32)
 LABEL = (X[:, 0] > 0).astype(np.intp) + 2 * (X[:, 1] + X[:, 2] > 0).astype(np.intp)

@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 from paths import shared_data
 from small_library import small_library
 
-from humanpred_ros.errors import ArrayError, HumanModelError, LibraryFormatError, MotionError, UsageError
+from humanpred_ros.errors import ArrayError, HumanModelError, LibraryFormatError, MotionError, SettingsError, UsageError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary, resample
 from humanpred_ros.motion.placement import placed
-from humanpred_ros.recognition.forest_classifier import ForestClassifier, ForestConfig
+from humanpred_ros.recognition.forest_classifier import ForestClassifier, ForestSettings
 from humanpred_ros.recognition.reach_features import motion_features, point_links
 
 HUMAN = HumanModel.kinect12()
-CONFIG = ForestConfig(n_trees=40)
+CONFIG = ForestSettings(n_trees=40)
 
 
 @cache
@@ -31,11 +31,11 @@ def library() -> MotionLibrary:
 
 @cache
 def fitted() -> ForestClassifier:
-    return ForestClassifier(CONFIG).fit(library())
+    return ForestClassifier(HUMAN, CONFIG).fit(library())
 
 
 def fresh() -> ForestClassifier:
-    return ForestClassifier(model=fitted().model)
+    return ForestClassifier(HUMAN, model=fitted().model)
 
 
 def unseen(label: int = 1, seed: int = 99, n_frames: int = 60) -> Motion:
@@ -106,7 +106,7 @@ def test_the_incremental_features_are_those_of_the_whole_motion() -> None:
 def test_leaving_one_motion_out_equals_learning_without_it() -> None:
     whole = fitted()
     rest = library().select(lambda motion: motion.name != "10/2")
-    without, anew = whole.fit_without(library(), "10/2"), ForestClassifier(CONFIG).fit(rest)
+    without, anew = whole.fit_without(library(), "10/2"), ForestClassifier(HUMAN, CONFIG).fit(rest)
     np.testing.assert_array_equal(answers(without, unseen()), answers(anew, unseen()))
     assert without.model is not None
     assert "10/2" not in without.model.exemplars.names
@@ -115,15 +115,15 @@ def test_leaving_one_motion_out_equals_learning_without_it() -> None:
 
 
 def test_the_same_library_and_seed_give_the_same_answers_and_another_seed_others() -> None:
-    again = ForestClassifier(CONFIG).fit(library())
-    other = ForestClassifier(replace(CONFIG, seed=5)).fit(library())
+    again = ForestClassifier(HUMAN, CONFIG).fit(library())
+    other = ForestClassifier(HUMAN, CONFIG.replaced(seed=5)).fit(library())
     np.testing.assert_array_equal(answers(again, unseen()), answers(fitted(), unseen()))
     assert np.abs(answers(other, unseen()) - answers(fitted(), unseen())).max() > 1e-3
 
 
 def test_a_class_never_seen_is_called_unknown() -> None:
     four = small_library(4, 8, 60, there_and_back=True)
-    classifier = ForestClassifier(CONFIG).fit(four.select(lambda motion: motion.label != 20))
+    classifier = ForestClassifier(HUMAN, CONFIG).fit(four.select(lambda motion: motion.label != 20))
     known = np.mean([answers(classifier, m)[36, -1] for m in four.of_class(10)])
     unknown = np.mean([answers(classifier, m)[36, -1] for m in four.of_class(20)])
     assert unknown > 0.5 > 0.2 > known
@@ -133,7 +133,7 @@ def test_a_mistracked_training_motion_does_not_spoil_its_class() -> None:
     motions = list(library().motions)
     wild = motions[9]
     motions[9] = wild.with_postures(wild.q + np.linspace(0.0, 60.0, len(wild))[:, None] * np.eye(12)[0])
-    classifier = ForestClassifier(CONFIG).fit(replace(library(), motions=tuple(motions)))
+    classifier = ForestClassifier(HUMAN, CONFIG).fit(replace(library(), motions=tuple(motions)))
     for seed in range(5):
         assert answers(classifier, unseen(1, seed))[36, :3].argmax() == 1
 
@@ -195,22 +195,22 @@ def test_what_cannot_be_used_changes_nothing(q: np.ndarray, t_s: float, error: t
 
 def test_what_cannot_be_learned_from_is_refused() -> None:
     with pytest.raises(UsageError, match="fit"):
-        ForestClassifier(CONFIG).update(np.zeros(12), 0.0)
+        ForestClassifier(HUMAN, CONFIG).update(np.zeros(12), 0.0)
     with pytest.raises(LibraryFormatError, match="two classes"):
-        ForestClassifier(CONFIG).fit(library().select(lambda motion: motion.label == 0))
+        ForestClassifier(HUMAN, CONFIG).fit(library().select(lambda motion: motion.label == 0))
     with pytest.raises(LibraryFormatError, match="two motions"):
-        ForestClassifier(CONFIG).fit(library().select(lambda motion: motion.label != 0 or motion.index == 0))
+        ForestClassifier(HUMAN, CONFIG).fit(library().select(lambda motion: motion.label != 0 or motion.index == 0))
     renamed = tuple(replace(m, dof_names=tuple(f"j{i}" for i in range(12))) for m in library())
     with pytest.raises(HumanModelError):
-        ForestClassifier(CONFIG).fit(replace(library(), motions=renamed))
+        ForestClassifier(HUMAN, CONFIG).fit(replace(library(), motions=renamed))
     for setting in ({"n_trees": 0}, {"motion_share": 1.0}, {"unknown_prior": 0.0}, {"n_postures": 1}, {"seed": -1}):
-        with pytest.raises(UsageError, match=next(iter(setting))):
-            ForestConfig(**setting)
+        with pytest.raises(SettingsError, match=next(iter(setting))):
+            ForestSettings(**setting)
 
 
 def test_a_few_motions_per_class_suffice() -> None:
     few = small_library(3, 2, 60, there_and_back=True)
-    classifier = ForestClassifier(CONFIG).fit(few)
+    classifier = ForestClassifier(HUMAN, CONFIG).fit(few)
     cases = [(label, seed) for label in range(3) for seed in (1, 2)]
     right = [answers(classifier, unseen(label, seed))[36, :3].argmax() == label for label, seed in cases]
     assert np.mean(right) >= 0.8
@@ -219,7 +219,7 @@ def test_a_few_motions_per_class_suffice() -> None:
 def test_recorded_reaches_are_recognised_early() -> None:
     """library_b, every fifth round left out: a part of what `humanpred evaluate recognition` measures in full."""
     recorded = load_library(shared_data("iros2013/library_b"))
-    classifier = ForestClassifier().fit(recorded.select(lambda motion: motion.index % 5 != 2))
+    classifier = ForestClassifier(HUMAN).fit(recorded.select(lambda motion: motion.index % 5 != 2))
     test = [motion for motion in recorded if motion.index % 5 == 2]
     right = np.zeros(3)
     for motion in test:

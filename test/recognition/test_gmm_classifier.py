@@ -13,19 +13,19 @@ from hypothesis import strategies as st
 from paths import shared_data
 from small_library import DOF_NAMES, small_library
 
-from humanpred_ros.errors import ArrayError, HumanPredError, MotionError, UsageError
+from humanpred_ros.errors import ArrayError, HumanPredError, MotionError, SettingsError, UsageError
+from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.recognition.class_mixtures import ClassMixtures
-from humanpred_ros.recognition.forest_config import ForestConfig
-from humanpred_ros.recognition.gmm_classifier import GmmClassifier, GmmConfig
-from humanpred_ros.recognition.registry import CLASSIFIERS, make_classifier
+from humanpred_ros.recognition.forest_config import ForestSettings
+from humanpred_ros.recognition.gmm_classifier import GmmClassifier, GmmSettings
 
 
 @cache
 def fitted(phase_feature: bool = True) -> GmmClassifier:
-    config = GmmConfig(n_components=5, phase_feature=phase_feature, max_iterations=30, unwrap_angles=True)
-    return GmmClassifier(config).fit(small_library(3, 6, 100))
+    config = GmmSettings(n_components=5, phase_feature=phase_feature, max_iterations=30, unwrap_angles=True)
+    return GmmClassifier(HumanModel.kinect12(), config).fit(small_library(3, 6, 100))
 
 
 def classes_of(classifier: GmmClassifier) -> ClassMixtures:
@@ -89,7 +89,7 @@ def test_classes_in_another_order_change_nothing_else() -> None:
         mixtures=tuple(classes.mixtures[i] for i in order),
         motions_per_class=tuple(classes.motions_per_class[i] for i in order),
     )
-    other = GmmClassifier(fitted().config, shuffled)
+    other = GmmClassifier(HumanModel.kinect12(), fitted().settings, shuffled)
     motion = unseen()
     np.testing.assert_allclose(other.posteriors(motion), fitted().posteriors(motion)[:, order], atol=1e-12)
 
@@ -200,7 +200,7 @@ def test_the_expected_duration_sets_the_phase() -> None:
 
 def test_prior_by_frequency() -> None:
     library = small_library(2, 9, 100).select(lambda m: m.label == 0 or m.index < 3)
-    classifier = GmmClassifier(GmmConfig(n_components=3, max_iterations=10)).fit(library)
+    classifier = GmmClassifier(HumanModel.kinect12(), GmmSettings(n_components=3, max_iterations=10)).fit(library)
     odds = [
         classifier.with_online(prior=prior, evidence="mean").posteriors(library.motions[0])[0]
         for prior in ("uniform", "frequency")
@@ -222,16 +222,14 @@ def test_cost_of_an_update_does_not_grow() -> None:
 
 def test_misuse_is_named() -> None:
     with pytest.raises(UsageError, match="fit"):
-        GmmClassifier().update(np.zeros(12), 0.0)
+        GmmClassifier(HumanModel.kinect12()).update(np.zeros(12), 0.0)
     with pytest.raises(UsageError, match="phase"):
-        GmmClassifier(GmmConfig(phase_feature=False), classes_of(fitted()))
+        GmmClassifier(HumanModel.kinect12(), GmmSettings(phase_feature=False), classes_of(fitted()))
     with pytest.raises(UsageError, match="n_components"):
         fitted().with_online(n_components=3)
     other = Motion(np.arange(3.0), np.zeros((3, 1)), ("elbow",))
     with pytest.raises(UsageError, match="elbow"):
         fitted().posteriors(other)
-    with pytest.raises(UsageError, match="wanted one of forest, gmm"):
-        make_classifier("dtw")
 
 
 @pytest.mark.parametrize(
@@ -248,18 +246,13 @@ def test_misuse_is_named() -> None:
     ],
 )
 def test_impossible_settings_are_refused(change: dict[str, object]) -> None:
-    with pytest.raises(UsageError):
-        GmmConfig(**change)
+    with pytest.raises(SettingsError, match=next(iter(change))):
+        GmmSettings(**change)
 
 
-def test_classifiers_by_name() -> None:
-    settings_of = {"gmm": GmmConfig(n_components=5, seed=3), "forest": ForestConfig(n_trees=5, seed=3)}
-    assert settings_of.keys() == CLASSIFIERS.keys()
-    for name, config in settings_of.items():
-        fitted_one = make_classifier(name, config).fit(small_library(2, 3))
-        assert fitted_one.update(small_library(2, 3).motions[0].q[0], 0.0).labels == (0, 10)
-    with pytest.raises(UsageError, match="its own settings, got GmmConfig"):
-        make_classifier("forest", GmmConfig())
+def test_settings_of_another_classifier_are_refused() -> None:
+    with pytest.raises(UsageError, match="wanted settings of the class GmmSettings, got ForestSettings"):
+        GmmClassifier(HumanModel.kinect12(), ForestSettings())  # type: ignore[arg-type]
 
 
 def test_recognition_rate_of_the_paper() -> None:
@@ -269,7 +262,7 @@ def test_recognition_rate_of_the_paper() -> None:
     """
     library = load_library(shared_data("iros2013/library_b"))
     held_out = library.select(lambda m: m.index % 5 == 4)
-    classifier = GmmClassifier().fit(library.select(lambda m: m.index % 5 != 4))
+    classifier = GmmClassifier(HumanModel.kinect12()).fit(library.select(lambda m: m.index % 5 != 4))
     right = np.mean([classifier.posteriors(m).argmax(axis=1) == m.label for m in held_out], axis=0)
     assert right[4] < 0.35
     assert right[59] == pytest.approx(0.84, abs=0.09)
@@ -277,9 +270,9 @@ def test_recognition_rate_of_the_paper() -> None:
 
 
 def test_leaving_one_motion_out_equals_learning_without_it() -> None:
-    library, config = small_library(3, 4, 60), GmmConfig(n_components=4, max_iterations=20)
-    whole = GmmClassifier(config).fit(library)
-    anew = GmmClassifier(config).fit(library.select(lambda motion: motion.name != "10/2"))
+    library, config = small_library(3, 4, 60), GmmSettings(n_components=4, max_iterations=20)
+    whole = GmmClassifier(HumanModel.kinect12(), config).fit(library)
+    anew = GmmClassifier(HumanModel.kinect12(), config).fit(library.select(lambda motion: motion.name != "10/2"))
     without = whole.fit_without(library, "10/2")
     np.testing.assert_array_equal(without.posteriors(unseen()), anew.posteriors(unseen()))
     assert classes_of(whole).motions_per_class == (4, 4, 4)

@@ -21,8 +21,8 @@ from small_library import small_library
 from humanpred_ros.errors import ModelFileError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.recognition import model_file
-from humanpred_ros.recognition.forest_config import ForestConfig
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.forest_config import ForestSettings
+from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.recognition.model_file import TrainedModel, load_model, save_model, train_model
 
 HUMAN = HumanModel.kinect12()
@@ -30,8 +30,8 @@ HUMAN = HumanModel.kinect12()
 
 @cache
 def trained() -> TrainedModel:
-    config = GmmConfig(n_components=3, max_iterations=10, evidence="mean", window_frames=12, nominal_duration_s=1.4)
-    return train_model(small_library(2, 3), HUMAN, config, ForestConfig(n_trees=7))
+    config = GmmSettings(n_components=3, max_iterations=10, evidence="mean", window_frames=12, nominal_duration_s=1.4)
+    return train_model(small_library(2, 3), HUMAN, config, ForestSettings(n_trees=7))
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +75,7 @@ def test_round_trip_to_the_bit(saved: Path) -> None:
     assert_same(loaded, trained())
     motion = small_library(2, 1, seed=5).motions[1]
     np.testing.assert_array_equal(
-        loaded.gmm_classifier().posteriors(motion), trained().gmm_classifier().posteriors(motion)
+        loaded.gmm_classifier(HUMAN).posteriors(motion), trained().gmm_classifier(HUMAN).posteriors(motion)
     )
     read, kept = loaded.forest_classifier(HUMAN), trained().forest_classifier(HUMAN)
     for q, t_s in zip(motion.q, motion.t_s, strict=True):
@@ -209,7 +209,7 @@ def test_loading_stays_light(saved: Path) -> None:
     code = (
         "import sys; from humanpred_ros.human.model import HumanModel; "
         "from humanpred_ros.recognition.model_file import load_model; "
-        "import humanpred_ros.predictors.factory; "
+        "from humanpred_ros.occupancy.predictor import predictor_type; predictor_type('forecast'); "
         f"load_model({str(saved)!r}, HumanModel.kinect12()); "
         "print([m for m in ('sklearn', 'matplotlib') if m in sys.modules])"
     )

@@ -10,7 +10,7 @@ from humanpred_ros.errors import ArrayError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.recognition.class_mixtures import fit_class_mixtures
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.recognition.mixture import GaussianMixture, MixtureConfig, fit_mixture
 from humanpred_ros.recognition.regression import regress
 
@@ -82,7 +82,7 @@ def test_motions_agree_with_those_the_authors_regressed(n_components: int, label
         lambda m: m.label in (label, neighbour) and (m.index >= 5 if m.label == label else m.index in (5, 6))
     )
     # The neighbour only makes it a library of two classes; no class depends on another.
-    config = GmmConfig(n_components=n_components)
+    config = GmmSettings(n_components=n_components)
     classes = fit_class_mixtures(library, config)
     q = regress(classes.mixtures[classes.labels.index(label)], np.arange(100.0)).mean
     reference = shared_data("iros2013/reference/authors_regressed") / f"class_{label}.csv"

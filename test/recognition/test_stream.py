@@ -10,9 +10,10 @@ import pytest
 from small_library import REST, small_library
 
 from humanpred_ros.errors import ArrayError, HumanPredError, MotionError, UsageError
+from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
-from humanpred_ros.recognition.forest_classifier import ForestClassifier, ForestConfig
+from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
+from humanpred_ros.recognition.forest_classifier import ForestClassifier, ForestSettings
 from humanpred_ros.recognition.stream import StreamClassifier, StreamConfig
 
 
@@ -23,11 +24,11 @@ def library() -> MotionLibrary:
 
 @cache
 def fitted() -> ForestClassifier:
-    return ForestClassifier(ForestConfig(n_trees=30)).fit(library())
+    return ForestClassifier(HumanModel.kinect12(), ForestSettings(n_trees=30)).fit(library())
 
 
 def streaming(**settings: object) -> StreamClassifier:
-    return StreamClassifier(ForestClassifier(model=fitted().model), **settings)  # type: ignore[arg-type]
+    return StreamClassifier(ForestClassifier(HumanModel.kinect12(), model=fitted().model), **settings)  # type: ignore[arg-type]
 
 
 def unseen(label: int, seed: int) -> Motion:
@@ -61,8 +62,8 @@ def test_every_motion_of_a_stream_is_recognised() -> None:
     posteriors = answers(classifier, t, q)
     for label, begin in zip(labels, begins, strict=True):
         assert posteriors[round((begin + 0.6 * 1.5) * 60)].best == 10 * label
-    assert classifier.state is not None
-    assert classifier.state.n_motions == len(labels)
+    assert classifier.motion_state is not None
+    assert classifier.motion_state.n_motions == len(labels)
     for posterior in posteriors:
         assert abs(posterior.probability.sum() + posterior.unknown - 1.0) < 1e-9
 
@@ -77,18 +78,18 @@ def test_at_rest_the_posterior_is_the_prior() -> None:
             assert (posterior.unknown, posterior.n_frames) == (0.1, 0)
 
 
-class Renamed(IntentClassifier):
+class Renamed(Classifier):
     """Says what another classifier says, with other labels once it is told so."""
 
     offset = 0
 
-    def __init__(self, other: IntentClassifier) -> None:
+    def __init__(self, other: Classifier) -> None:
         self.other = other
 
-    def fit(self, library: MotionLibrary) -> IntentClassifier:
+    def fit(self, library: MotionLibrary) -> Classifier:
         raise NotImplementedError
 
-    def fit_without(self, library: MotionLibrary, name: str) -> IntentClassifier:
+    def fit_without(self, library: MotionLibrary, name: str) -> Classifier:
         raise NotImplementedError
 
     def start(self) -> None:
@@ -102,7 +103,7 @@ class Renamed(IntentClassifier):
 def test_classes_may_change_at_rest_and_in_motion() -> None:
     t, q, begins = stream([2, 0])
     at_rest, moving = round(1.0 * 60), round((begins[1] + 0.8) * 60)
-    classifier = Renamed(ForestClassifier(model=fitted().model))
+    classifier = Renamed(ForestClassifier(HumanModel.kinect12(), model=fitted().model))
     changing, constant = StreamClassifier(classifier), streaming()
     for k, (posture, stamp) in enumerate(zip(q, t.tolist(), strict=True)):
         if k in (at_rest, moving):
@@ -150,7 +151,7 @@ def test_impossible_settings_are_refused() -> None:
 
 
 def test_leaving_a_motion_out_leaves_it_out_of_the_rest_learned_too() -> None:
-    whole = StreamClassifier(ForestClassifier(ForestConfig(n_trees=10))).fit(library())
+    whole = StreamClassifier(ForestClassifier(HumanModel.kinect12(), ForestSettings(n_trees=10))).fit(library())
     without = whole.fit_without(library(), "0/3")
     assert isinstance(without.classifier, ForestClassifier)
     assert without.classifier.model is not None

@@ -9,13 +9,13 @@ from small_library import DOF_NAMES, REST, small_library
 from humanpred_ros.errors import ArrayError, UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
+from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
 from humanpred_ros.recognition.stream import StreamClassifier, StreamConfig
 
 ELBOW = DOF_NAMES.index("rElbowZ")
 
 
-class Witness(IntentClassifier):
+class Witness(Classifier):
     """Remembers what it is shown since the last start; refuses postures whose elbow is bent beyond reason."""
 
     def __init__(self) -> None:
@@ -55,7 +55,7 @@ def onset_of(stream: StreamClassifier, t: FloatArray, q: FloatArray) -> int:
     """Show postures until an onset is found; return the number of the posture it was found at."""
     for k, (posture, stamp) in enumerate(zip(q, t.tolist(), strict=True)):
         stream.update(posture, stamp)
-        if stream.state is not None and stream.state.moving:
+        if stream.motion_state is not None and stream.motion_state.moving:
             return k
     raise AssertionError("no onset")
 
@@ -66,8 +66,8 @@ def test_nothing_of_the_early_motion_is_lost(lead_in_s: float) -> None:
     witness = Witness()
     stream = StreamClassifier(witness, StreamConfig(lead_in_s=lead_in_s, most_replayed=1000))
     k = onset_of(stream, t, q)
-    assert stream.state is not None
-    expected = t[(t >= stream.state.since_s - lead_in_s) & (t <= t[k])]
+    assert stream.motion_state is not None
+    expected = t[(t >= stream.motion_state.since_s - lead_in_s) & (t <= t[k])]
     np.testing.assert_array_equal(witness.shown, expected)
     for more in range(k + 1, k + 10):
         assert stream.update(q[more], float(t[more])).n_frames == len(expected) + more - k
@@ -100,8 +100,8 @@ def test_a_posture_that_the_classifier_refuses_changes_nothing() -> None:
     for posture, stamp in zip(q, t.tolist(), strict=True):
         a, b = one.update(posture, stamp), other.update(posture, stamp)
         np.testing.assert_array_equal(a.probability, b.probability)
-        assert (a.n_frames, one.state) == (b.n_frames, other.state)
-        if one.state is not None and one.state.moving:
+        assert (a.n_frames, one.motion_state) == (b.n_frames, other.motion_state)
+        if one.motion_state is not None and one.motion_state.moving:
             bent = posture.copy()
             bent[ELBOW] = 101.0
             with pytest.raises(ArrayError):

@@ -10,11 +10,10 @@ from small_library import small_library
 
 from humanpred_ros.errors import ArrayError, HumanModelError, LibraryFormatError, UsageError
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.recognition.gmm_config import GmmConfig
-from humanpred_ros.recognition.registry import trained_classifier
+from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.recognition.training import train_model
 
-CONFIG = GmmConfig(n_components=8, max_iterations=30)
+CONFIG = GmmSettings(n_components=8, max_iterations=30)
 HUMAN = HumanModel.kinect12()
 
 
@@ -45,10 +44,10 @@ def test_goal_of_a_reach_is_its_end_and_of_a_return_its_turning_point() -> None:
 
 def test_a_classifier_without_phase_still_has_regressed_motions() -> None:
     library = small_library()
-    without = train_model(library, HUMAN, replace(CONFIG, phase_feature=False))
+    without = train_model(library, HUMAN, CONFIG.replaced(phase_feature=False))
     np.testing.assert_array_equal(without.regressed_q, train_model(library, HUMAN, CONFIG).regressed_q)
     assert not without.classes.has_phase
-    assert without.gmm_classifier().posteriors(library.motions[0]).shape == (40, 3)
+    assert without.gmm_classifier(HUMAN).posteriors(library.motions[0]).shape == (40, 3)
 
 
 def test_the_same_library_and_seed_give_the_same_model() -> None:
@@ -60,12 +59,12 @@ def test_the_same_library_and_seed_give_the_same_model() -> None:
 
 def test_classifiers_of_a_model_do_not_share_what_they_saw() -> None:
     model = train_model(small_library(), HUMAN, CONFIG)
-    one, other = (trained_classifier("gmm", model, HUMAN, evidence="mean") for _ in range(2))
+    one, other = (model.classifier("gmm", HUMAN, evidence="mean") for _ in range(2))
     motion = small_library().motions[0]
     one.update(motion.q[0], 0.0)
     assert other.update(motion.q[1], 5.0).n_frames == 1
     with pytest.raises(UsageError, match="wanted one of forest, gmm"):
-        trained_classifier("svm", model, HUMAN)
+        model.classifier("svm", HUMAN)
 
 
 def test_what_does_not_fit_is_refused() -> None:
@@ -81,8 +80,8 @@ def test_what_does_not_fit_is_refused() -> None:
     for change in (
         {"goals_m": np.zeros((2, 3))},
         {"regressed_q": model.regressed_q[:, :50]},
-        {"config": replace(CONFIG, n_components=9)},
-        {"config": replace(CONFIG, phase_feature=False)},
+        {"config": CONFIG.replaced(n_components=9)},
+        {"config": CONFIG.replaced(phase_feature=False)},
     ):
         with pytest.raises(ArrayError):
             replace(model, **change)

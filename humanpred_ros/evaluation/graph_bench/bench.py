@@ -20,8 +20,7 @@ from humanpred_ros.evaluation.graph_bench.run import GraphRun, GraphSetup, run_g
 from humanpred_ros.evaluation.graph_bench.usage import NodeUsage
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR
-from humanpred_ros.predictors.factory import check_predictor, needs_model
+from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR, check_predictor, predictor_type
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.model_file import save_model
 from humanpred_ros.recognition.training import train_model
@@ -137,7 +136,7 @@ def bench_graph(case: GraphCase, folder: Path, report: Callable[[str], None] = l
     library = load_library(locate(_LIBRARY, "bags"))
     motion = library.find(_TRAJECTORY)
     model = (folder / "model.npz").resolve()
-    if needs_model(case.predictor):
+    if predictor_type(case.predictor).needs_model:
         report("training the predictor")
         save_model(train_model(training_part(library, motion, 0), HumanModel.kinect12()), model)
     replayed = write_motion(folder / "back_and_forth", library, motion, case.seconds)

@@ -23,7 +23,7 @@ from humanpred_ros.evaluation.options import (
     progress_lines,
     read_library,
 )
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.viewing.plots_interference import CostBars, MethodDots, save_interference_plot
 
 
@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_hold_out(parser, default.runs.hold_out)
     add_jobs(parser)
     parser.add_argument("--seed", type=int, default=0, help="of training; runs have the seeds 0, 1, ...")
-    parser.add_argument("--components", type=int, default=GmmConfig.n_components, help="gmm: Gaussians per class")
+    parser.add_argument("--components", type=int, default=GmmSettings().n_components, help="gmm: Gaussians per class")
 
 
 def run(options: argparse.Namespace, console: Console) -> int:
@@ -93,7 +93,9 @@ def _config(options: argparse.Namespace) -> InterferenceConfig:
         scenes=names_in(options.scenes),
         motions=options.motions,
         seeds=options.seeds,
-        runs=RunSettings(gmm=GmmConfig(n_components=options.components, seed=options.seed), hold_out=options.hold_out),
+        runs=RunSettings(
+            gmm=GmmSettings(n_components=options.components, seed=options.seed), hold_out=options.hold_out
+        ),
     )
 
 

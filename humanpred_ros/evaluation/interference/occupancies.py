@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from humanpred_ros.evaluation.direct_run import predicted
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.motion.motion import Motion
-from humanpred_ros.occupancy.predictor import OccupancyPredictor
+from humanpred_ros.occupancy.predictor import Predictor
 
 
 class PredictedOccupancies:
@@ -20,7 +20,7 @@ class PredictedOccupancies:
     as far as somebody reads, and kept as the few voxels that are not zero.
     """
 
-    def __init__(self, predictor: OccupancyPredictor, motion: Motion, threshold: float, n_held: int) -> None:
+    def __init__(self, predictor: Predictor, motion: Motion, threshold: float, n_held: int) -> None:
         """Take a predictor that nobody else uses meanwhile; other arguments as for `run_direct`."""
         self._grid: VoxelGrid = predictor.grid
         self._source = predicted(predictor, motion, threshold, n_held)

@@ -11,17 +11,15 @@ from functools import cached_property
 import numpy as np
 
 from humanpred_ros.evaluation.interference.occupancies import PredictedOccupancies
+from humanpred_ros.evaluation.leave_one_out import FoldSettings, LeaveOneOut, leave_one_out
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR
+from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR, predictor_type
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.predictors.factory import needs_model
-from humanpred_ros.predictors.folds import FoldSettings, LeaveOneOut
-from humanpred_ros.predictors.leave_one_out import leave_one_out
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.robot.scene import Scene, load_scene
 
 
@@ -43,7 +41,7 @@ class RunSettings:
     steps: int = 20
     threshold: float = 0.001
     hold_s: float = 4.0
-    gmm: GmmConfig = field(default_factory=GmmConfig)
+    gmm: GmmSettings = field(default_factory=GmmSettings)
     hold_out: int = 5
 
     def replanner_config(self, motion: Motion, seed: int) -> ReplannerConfig:
@@ -101,7 +99,12 @@ class World:
 
     def _fold(self, predictor: str, scene: Scene, group: int) -> LeaveOneOut:
         """Return what makes a predictor for a scene; scenes of one grid and placement share what was learned."""
-        key = (predictor, group if needs_model(predictor) else 0, scene.grid, scene.T_world_human.tobytes())
+        key = (
+            predictor,
+            group if predictor_type(predictor).needs_model else 0,
+            scene.grid,
+            scene.T_world_human.tobytes(),
+        )
         if key not in self._folds:
             self._folds[key] = leave_one_out(
                 predictor,

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from humanpred_ros import plugins
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.occupancy.evaluation import (
     OccupancyEvaluationConfig,
@@ -25,9 +26,7 @@ from humanpred_ros.evaluation.options import (
     progress_lines,
     read_library,
 )
-from humanpred_ros.predictors.factory import PREDICTORS
-from humanpred_ros.recognition.gmm_config import GmmConfig
-from humanpred_ros.recognition.registry import CLASSIFIERS
+from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.viewing.plots_occupancy import Moment, OccupancyCurves, save_occupancy_plot
 
 
@@ -39,9 +38,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--predictor",
         default="all",
         metavar="NAME",
-        help=f"all, or some of {', '.join(PREDICTORS)} (commas between)",
+        help=f"all, or some of {', '.join(plugins.names(plugins.PREDICTORS))} (commas between)",
     )
-    parser.add_argument("--classifier", default=default.classifier, help=f"one of {', '.join(CLASSIFIERS)}")
+    parser.add_argument(
+        "--classifier", default=default.classifier, help=f"one of {', '.join(plugins.names(plugins.CLASSIFIERS))}"
+    )
     add_outputs(parser, plot="draw errors, calibration and one moment from above (.png)")
     parser.add_argument(
         "--until",
@@ -70,8 +71,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_jobs(parser)
     parser.add_argument("--seed", type=int, default=0)
     gmm = parser.add_argument_group("settings of the classifier gmm and of P1's expected motions")
-    gmm.add_argument("--components", type=int, default=GmmConfig.n_components, help="Gaussians per class")
-    gmm.add_argument("--evidence", default=GmmConfig.evidence, help="sum or mean of the postures' log densities")
+    gmm.add_argument("--components", type=int, default=GmmSettings().n_components, help="Gaussians per class")
+    gmm.add_argument("--evidence", default=GmmSettings().evidence, help="sum or mean of the postures' log densities")
 
 
 def run(options: argparse.Namespace, console: Console) -> int:
@@ -94,9 +95,9 @@ def run(options: argparse.Namespace, console: Console) -> int:
 def _config(options: argparse.Namespace) -> OccupancyEvaluationConfig:
     dx, dy, turn_deg = _shift(options.shift)
     return OccupancyEvaluationConfig(
-        predictors=names_in(options.predictor, PREDICTORS),
+        predictors=names_in(options.predictor, plugins.names(plugins.PREDICTORS)),
         classifier=options.classifier,
-        gmm=GmmConfig(n_components=options.components, evidence=options.evidence, seed=options.seed),
+        gmm=GmmSettings(n_components=options.components, evidence=options.evidence, seed=options.seed),
         until=options.until,
         scene=options.scene,
         resolution_m=options.resolution,

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from humanpred_ros import plugins
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.evaluation_grid import grid_around, swept_region
 from humanpred_ros.evaluation.needs import LEARNS_CLASSES, LEARNS_FROM_OTHERS, Needs, check_needs
@@ -34,11 +35,10 @@ from humanpred_ros.human.model import HumanModel, human_with
 from humanpred_ros.motion.cleaning import DROP_REASONS, flag_library
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.motion.placement import placed, start_pelvis_m, turn_and_shift
+from humanpred_ros.occupancy.predictor import predictor_type
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
-from humanpred_ros.predictors.factory import PREDICTORS, needs_model, uses_classifier
 from humanpred_ros.recognition.class_mixtures import check_trainable
-from humanpred_ros.recognition.gmm_config import GmmConfig
-from humanpred_ros.recognition.registry import make_classifier
+from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.robot.scene import load_scene
 
 #: How much of the motion drawn was seen, if that is one of the percents.
@@ -50,7 +50,7 @@ class OccupancyEvaluationConfig:
     """How to evaluate predictors of occupancy.
 
     Attributes:
-        predictors: names of `factory.PREDICTORS`, side by side.
+        predictors: their names, side by side.
         classifier: recognises the class for those that need it.
         gmm: settings of P1's mixtures.
         percents: shares of a motion after which its predictions are scored.
@@ -71,7 +71,7 @@ class OccupancyEvaluationConfig:
 
     predictors: tuple[str, ...] = ("current", "constant_velocity", "swept_volume")
     classifier: str = "gmm"
-    gmm: GmmConfig = field(default_factory=GmmConfig)
+    gmm: GmmSettings = field(default_factory=GmmSettings)
     percents: tuple[int, ...] = tuple(range(10, 100, 10))
     until: str = "end"
     scene: str | None = None
@@ -84,10 +84,9 @@ class OccupancyEvaluationConfig:
     picture: str | None = None
 
     def __post_init__(self) -> None:
-        unknown = [name for name in self.predictors if name not in PREDICTORS]
-        if unknown or not self.predictors:
-            raise UsageError(f"predictors: wanted some of {', '.join(PREDICTORS)}, got {', '.join(unknown) or 'none'}")
-        make_classifier(self.classifier)  # an unknown name shows before any work is done
+        for name in self.predictors or ("",):
+            plugins.check_name(plugins.PREDICTORS, name)
+        plugins.check_name(plugins.CLASSIFIERS, self.classifier)
         if self.until not in ENDS:
             raise UsageError(f"until: wanted {' or '.join(ENDS)}, got {self.until!r}")
         if not self.percents or not all(1 <= percent <= 100 for percent in self.percents):
@@ -160,7 +159,9 @@ def evaluate_occupancy(
     }
     facts = library_facts(library, by_class=True)
     results = tuple(
-        PredictorResult.of(name, PREDICTORS[name], [motion[k] for motion in outcomes], frozenset(mistracked))
+        PredictorResult.of(
+            name, plugins.describe(plugins.PREDICTORS, name), [motion[k] for motion in outcomes], frozenset(mistracked)
+        )
         for k, name in enumerate(config.predictors)
     )
     return OccupancyEvaluation(
@@ -184,9 +185,10 @@ def _check_leave_one_out(library: MotionLibrary, predictors: Sequence[str]) -> N
 
 def _needs_of(predictor: str) -> Needs | None:
     """Return what a library must have for a predictor to be tested on motions left out of it; None of baselines."""
-    if not needs_model(predictor):
+    found = predictor_type(predictor)
+    if not found.needs_model:
         return None
-    return LEARNS_CLASSES if uses_classifier(predictor) else LEARNS_FROM_OTHERS
+    return LEARNS_FROM_OTHERS if found.classifiers == () else LEARNS_CLASSES
 
 
 def _space(

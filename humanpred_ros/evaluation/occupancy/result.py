@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from humanpred_ros.evaluation.leave_one_out import learned_from_class
 from humanpred_ros.evaluation.occupancy.runs import MotionOutcome, Picture
 from humanpred_ros.evaluation.occupancy.scores import BIN_EDGES, Reliability, VoxelScores
 from humanpred_ros.evaluation.outputs import plain
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.predictors.leave_one_out import learned_from_class
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ class PredictorResult:
     """What was found out about one predictor.
 
     Attributes:
-        name, description: as in `factory.PREDICTORS`.
+        name, description: of the predictor.
         learned_from_class: whether it had learned from other motions of the tested one's class: yes, no or –.
         average: over motions and percents.
         without_mistracked: the same without test motions that the tracker plainly got wrong; None if there are none.

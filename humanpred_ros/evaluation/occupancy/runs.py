@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humanpred_ros.errors import HumanPredError
+from humanpred_ros.evaluation.leave_one_out import FoldSettings, LeaveOneOut, leave_one_out
 from humanpred_ros.evaluation.occupancy.scores import VoxelScores, voxel_scores
 from humanpred_ros.evaluation.recognition_scores import percent_indices
 from humanpred_ros.geometry.checks import FloatArray
@@ -18,12 +19,10 @@ from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.placement import placed
-from humanpred_ros.occupancy.predictor import OccupancyPredictor
+from humanpred_ros.occupancy.predictor import Predictor
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
-from humanpred_ros.predictors.folds import FoldSettings, LeaveOneOut
-from humanpred_ros.predictors.leave_one_out import leave_one_out
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.recognition.training import REACHING_LINK
 
 #: Where a test motion ends: with the recording, or when the palm is farthest from where it started.
@@ -94,7 +93,7 @@ class OccupancySetup:
     until: str
     T_shift: FloatArray
     classifier: str
-    gmm: GmmConfig
+    gmm: GmmSettings
     untaught: frozenset[str]
     picture: tuple[str, int]
 
@@ -152,7 +151,7 @@ def until_end(motion: Motion, human: HumanModel, until: str) -> tuple[FloatArray
     return motion.q[:n], motion.t_s[:n]
 
 
-def _forgets_place(predictor: OccupancyPredictor, label: int | None) -> bool:
+def _forgets_place(predictor: Predictor, label: int | None) -> bool:
     """Take one place away from a predictor that is told places; return whether it had that one and others."""
     if not isinstance(predictor, ReachingPredictor):
         return False
@@ -164,7 +163,7 @@ def _forgets_place(predictor: OccupancyPredictor, label: int | None) -> bool:
 
 
 def _played(
-    predictor: OccupancyPredictor,
+    predictor: Predictor,
     name: str,
     postures: FloatArray,
     t_s: FloatArray,

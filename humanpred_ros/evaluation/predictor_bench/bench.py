@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from humanpred_ros import plugins
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.predictor_bench.growth import Growth, growth_of_default, growth_of_reaching
 from humanpred_ros.evaluation.predictor_bench.node import NodeResult, bench_nodes
@@ -19,8 +20,7 @@ from humanpred_ros.evaluation.predictor_bench.people import People
 from humanpred_ros.evaluation.predictor_bench.timing import Timing, update_seconds
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.predictors.factory import PREDICTORS, make_predictor
-from humanpred_ros.recognition.registry import CLASSIFIERS, trained_classifier
+from humanpred_ros.occupancy.predictor import PredictorRequest, make_predictor
 
 
 @dataclass(frozen=True)
@@ -77,13 +77,13 @@ def bench_predictor(
             "give reaches without classes as --demos"
         )
     recognition = {}
-    for name in CLASSIFIERS:
+    for name in ("forest", "gmm"):
         report(f"classifier {name}")
-        recognition[name] = Timing.of(update_seconds(trained_classifier(name, model, human), people.played))
+        recognition[name] = Timing.of(update_seconds(model.classifier(name, human), people.played))
     update = {}
-    for name in PREDICTORS:
+    for name in plugins.names(plugins.PREDICTORS):
         report(f"predictor {name}")
-        predictor = make_predictor(name, model, human, grid, np.eye(4))
+        predictor = make_predictor(name, PredictorRequest(human, grid, np.eye(4), model))
         update[name] = Timing.of(update_seconds(predictor, people.played))
     growth = (*growth_of_default(people, model, report), *growth_of_reaching(everybody, report))
     nodes = tuple(bench_nodes(everybody, folder, report)) if folder is not None else ()

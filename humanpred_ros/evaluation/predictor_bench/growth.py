@@ -14,10 +14,8 @@ from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.placement import placed, turn_and_shift
-from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR, OccupancyPredictor
-from humanpred_ros.predictors.factory import make_predictor
+from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR, Predictor, PredictorRequest, make_predictor
 from humanpred_ros.reaching.futures import ReachFuturesConfig
-from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.training import TrainedModel, train_model
 
 #: Lengths of the motions whose last postures are timed, and how many of these.
@@ -102,5 +100,5 @@ def _with_frames(people: People, model: TrainedModel, report: Callable[[str], No
         yield Growth(_UPDATE, "frames seen", n_frames, Timing.of(seconds))
 
 
-def _default(model: TrainedModel, human: HumanModel, grid: VoxelGrid) -> OccupancyPredictor:
-    return make_predictor(DEFAULT_PREDICTOR, model, human, grid, np.eye(4), classifier=DEFAULT_CLASSIFIER)
+def _default(model: TrainedModel, human: HumanModel, grid: VoxelGrid) -> Predictor:
+    return make_predictor(DEFAULT_PREDICTOR, PredictorRequest(human, grid, np.eye(4), model))

@@ -11,8 +11,8 @@ from humanpred_ros.evaluation.evaluation_grid import P1_RESOLUTION_M, grid_aroun
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel, human_named, name_of_human
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.predictors.reach_sources import ReachKnowledge
 from humanpred_ros.reaching.places import GoalPlaces, reach_ends
+from humanpred_ros.reaching.reach_sources import ReachKnowledge
 from humanpred_ros.recognition.training import TrainedModel, train_model
 
 #: Where a library shows fewer places than are told, it is told the same ones again, so much higher.

@@ -12,8 +12,8 @@ import numpy as np
 from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.motion import Motion
-from humanpred_ros.occupancy.predictor import OccupancyPredictor
-from humanpred_ros.recognition.classifier import IntentClassifier
+from humanpred_ros.occupancy.predictor import Predictor
+from humanpred_ros.recognition.classifier import Classifier
 
 #: Postures fed before anything is timed: caches and the processor's clock settle.
 _WARM_UP = 30
@@ -37,7 +37,7 @@ class Timing:
 
 
 def update_seconds(
-    subject: OccupancyPredictor | IntentClassifier, motions: Sequence[Motion], n_frames: int | None = None
+    subject: Predictor | Classifier, motions: Sequence[Motion], n_frames: int | None = None
 ) -> list[float]:
     """Return how long each `update` took, in seconds, over motions that are each started anew.
 

@@ -19,7 +19,7 @@ from humanpred_ros.evaluation.streams.scores import EventLog, FalseStarts, Motio
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
+from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
 from humanpred_ros.recognition.onset import BodyPoints, OnsetConfig, OnsetDetector
 from humanpred_ros.recognition.stream import StreamClassifier
 
@@ -211,7 +211,7 @@ class StreamRuns:
 
 
 def _play(
-    classifier: IntentClassifier, t_s: FloatArray, q: FloatArray, labels: tuple[int, ...]
+    classifier: Classifier, t_s: FloatArray, q: FloatArray, labels: tuple[int, ...]
 ) -> tuple[FloatArray, int, FloatArray]:
     """Show postures to a classifier; return (T, C) probabilities of the classes, postures refused, and update times."""
     classifier.start()

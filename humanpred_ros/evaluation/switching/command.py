@@ -24,7 +24,7 @@ from humanpred_ros.evaluation.switching.reference import fig9_beside
 from humanpred_ros.evaluation.switching.result import CURRENT, SwitchingEvaluation
 from humanpred_ros.evaluation.switching.runs import VARIANTS
 from humanpred_ros.evaluation.switching.tables import print_switching
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.viewing.plots_switching import CandidateCosts, StepsEarlier, save_switching_plot
 
 
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_hold_out(parser, default.runs.hold_out)
     add_jobs(parser)
     parser.add_argument("--seed", type=int, default=0, help="of training")
-    parser.add_argument("--components", type=int, default=GmmConfig.n_components, help="gmm: Gaussians per class")
+    parser.add_argument("--components", type=int, default=GmmSettings().n_components, help="gmm: Gaussians per class")
 
 
 def run(options: argparse.Namespace, console: Console) -> int:
@@ -61,7 +61,9 @@ def run(options: argparse.Namespace, console: Console) -> int:
         figure_motion=options.trajectory,
         figure_seeds=options.seeds,
         motions=options.motions,
-        runs=RunSettings(gmm=GmmConfig(n_components=options.components, seed=options.seed), hold_out=options.hold_out),
+        runs=RunSettings(
+            gmm=GmmSettings(n_components=options.components, seed=options.seed), hold_out=options.hold_out
+        ),
     )
     source, library = read_library(options)
     with progress_lines(console) as begin:

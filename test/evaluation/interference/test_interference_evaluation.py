@@ -24,14 +24,14 @@ from humanpred_ros.evaluation.interference.tables import print_interference
 from humanpred_ros.evaluation.interference.world import RunSettings, World, training_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.stomp.config import StompConfig
 
 SETTINGS = RunSettings(
     replanner=ReplannerConfig(threads=1, stomp=StompConfig(waypoints=30, iterations=60)),
     steps=5,
     hold_s=4.0,
-    gmm=GmmConfig(n_components=3, max_iterations=10),
+    gmm=GmmSettings(n_components=3, max_iterations=10),
     hold_out=1,
 )
 CONFIG = InterferenceConfig(

@@ -12,13 +12,13 @@ from humanpred_ros.evaluation.direct_run import predicted
 from humanpred_ros.evaluation.interference.occupancies import PredictedOccupancies, nobody
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
+from humanpred_ros.occupancy.predictor import Prediction, Predictor
 
 GRID = VoxelGrid((0.0, 0.0, 0.0), 0.1, (4, 5, 6))
 MOTION = small_library(1, 1, 8).motions[0]
 
 
-class Noise(OccupancyPredictor):
+class Noise(Predictor):
     """Predicts what its own past says: a reader out of turn would change it."""
 
     grid = GRID

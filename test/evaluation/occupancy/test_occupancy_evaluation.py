@@ -15,6 +15,7 @@ from small_library import small_library
 
 from humanpred_ros.errors import ArrayError, HumanPredError, LibraryFormatError, UsageError
 from humanpred_ros.evaluation.evaluation_grid import grid_around, swept_region
+from humanpred_ros.evaluation.leave_one_out import FoldSettings, LeaveOneOut
 from humanpred_ros.evaluation.occupancy import evaluation as occupancy_evaluation
 from humanpred_ros.evaluation.occupancy import runs as occupancy_runs
 from humanpred_ros.evaluation.occupancy.evaluation import OccupancyEvaluationConfig, evaluate_occupancy
@@ -26,14 +27,13 @@ from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.motion.placement import placed, start_pelvis_m, turn_and_shift
-from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
+from humanpred_ros.occupancy.predictor import Prediction, Predictor
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
-from humanpred_ros.predictors.folds import FoldSettings, LeaveOneOut
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.gmm_config import GmmSettings
 
 HUMAN = HumanModel.kinect12()
-GMM = GmmConfig(n_components=3, max_iterations=10)
+GMM = GmmSettings(n_components=3, max_iterations=10)
 NONE = np.eye(4)
 
 
@@ -53,7 +53,7 @@ def setup(**changes: Any) -> OccupancySetup:
     )  # fmt: skip
 
 
-class Told(OccupancyPredictor):
+class Told(Predictor):
     """Predicts what a function of the posture's number says, and notes what it was shown."""
 
     def __init__(self, settings: FoldSettings, predict: Any) -> None:

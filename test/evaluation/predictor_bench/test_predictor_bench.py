@@ -14,6 +14,7 @@ from mocap_library import mocap_library
 from rich.console import Console
 from small_library import small_library
 
+from humanpred_ros import plugins
 from humanpred_ros.cli import parse
 from humanpred_ros.errors import HumanModelError, UsageError
 from humanpred_ros.evaluation.predictor_bench import command as predictor_bench_command
@@ -22,8 +23,6 @@ from humanpred_ros.evaluation.predictor_bench.people import People
 from humanpred_ros.evaluation.predictor_bench.timing import Timing, update_seconds
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.predictors.factory import PREDICTORS
-from humanpred_ros.recognition.registry import CLASSIFIERS
 
 
 def demos() -> MotionLibrary:
@@ -95,8 +94,8 @@ def test_everything_is_measured_and_written(tmp_path: Path, monkeypatch: pytest.
     out, printed = tmp_path / "bench.json", tmp_path / "printed"
     assert run("--library", str(library), "--demos", str(recorded), "--json", str(out), printed=printed) == 0
     bench = json.loads(out.read_text())
-    assert set(bench["recognition"]) == set(CLASSIFIERS)
-    assert set(bench["update"]) == set(PREDICTORS)
+    assert set(bench["recognition"]) == set(plugins.names(plugins.CLASSIFIERS))
+    assert set(bench["update"]) == set(plugins.names(plugins.PREDICTORS))
     assert all(timing["n"] == 40 and timing["median_us"] > 0 for timing in bench["update"].values())
     assert {row["what"]: row["size"] for row in bench["growth"]} == {
         "classes": 4, "voxels": 2457600, "frames seen": 40, "places": 3,

@@ -22,14 +22,14 @@ from humanpred_ros.evaluation.switching.runs import VARIANTS, Choosing, SwitchTa
 from humanpred_ros.evaluation.switching.tables import print_switching
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.stomp.config import StompConfig
 
 SETTINGS = RunSettings(
     replanner=ReplannerConfig(threads=1, stomp=StompConfig(waypoints=30, iterations=40)),
     steps=5,
-    gmm=GmmConfig(n_components=3, max_iterations=10),
+    gmm=GmmSettings(n_components=3, max_iterations=10),
     hold_out=1,
 )
 CONFIG = SwitchingConfig(figure_motion="0/0", figure_seeds=2, motions=1, runs=SETTINGS)

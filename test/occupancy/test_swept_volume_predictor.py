@@ -16,10 +16,10 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.occupancy.p1 import SweptVolumePredictor
 from humanpred_ros.occupancy.swept_volume import BodyVoxeliser, swept_volume
-from humanpred_ros.recognition.classifier import ClassPosterior, IntentClassifier
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.occupancy.swept_volume_predictor import SweptVolumePredictor
+from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
+from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.recognition.training import TrainedModel, train_model
 
 HUMAN = HumanModel.kinect12()
@@ -27,7 +27,7 @@ GRID = VoxelGrid((-1.5, -1.5, -0.4), 0.05, (60, 60, 48))
 SMALL = VoxelGrid((0.0, 0.0, 0.0), 1.0, (5, 4, 3))
 
 
-class Told(IntentClassifier):
+class Told(Classifier):
     """Answers what it was told."""
 
     def __init__(self, probability: FloatArray, labels: tuple[int, ...]) -> None:
@@ -48,7 +48,7 @@ class Told(IntentClassifier):
 
 @cache
 def trained() -> TrainedModel:
-    return train_model(small_library(3, 4), HUMAN, GmmConfig(n_components=6, max_iterations=20))
+    return train_model(small_library(3, 4), HUMAN, GmmSettings(n_components=6, max_iterations=20))
 
 
 @settings(max_examples=100)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from humanpred_ros.errors import HumanPredError, UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.reaching.places import GoalPlaces
-from humanpred_ros.robot.scene import Scene
 
 
 def goals_from_text(entries: Sequence[str], T_world_human: FloatArray) -> GoalPlaces | None:
@@ -29,12 +28,9 @@ def goals_from_text(entries: Sequence[str], T_world_human: FloatArray) -> GoalPl
     return _places([label for label, _ in told], [place for _, place in told], T_world_human) if told else None
 
 
-def goals_of_scene(scene: Scene) -> GoalPlaces | None:
-    """Return the places that a scene says people may reach for, in the tracker's frame; None if it says none."""
-    if not scene.reach_goals:
-        return None
-    goals = scene.reach_goals
-    return _places([goal.label for goal in goals], [goal.place_m for goal in goals], scene.T_world_human)
+def goals_of_scene(goals: Mapping[int, FloatArray], T_world_human: FloatArray) -> GoalPlaces | None:
+    """Return the places (3,) by label that a scene gives, world frame, in the tracker's frame; None of none."""
+    return _places(list(goals), list(goals.values()), T_world_human) if goals else None
 
 
 def _places(labels: Sequence[int], places_m: Sequence[FloatArray], T_world_human: FloatArray) -> GoalPlaces:

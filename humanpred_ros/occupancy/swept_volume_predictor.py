@@ -11,14 +11,16 @@ from humanpred_ros.errors import ArrayError, UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.occupancy.predictor import OccupancyPredictor, Prediction
+from humanpred_ros.occupancy.predictor import Prediction, Predictor, PredictorRequest
 from humanpred_ros.occupancy.swept_volume import BodyVoxeliser, SweptVolumeConfig, swept_volume
-from humanpred_ros.recognition.classifier import IntentClassifier
+from humanpred_ros.recognition.classifier import Classifier
 from humanpred_ros.recognition.training import TrainedModel
 
 
-class SweptVolumePredictor(OccupancyPredictor):
-    """p(x | xi) = sum_m P(C_m | xi) [x in the volume swept by class m] (P1 IV).
+class SweptVolumePredictor(Predictor):
+    """P1: posterior of the classes times the volumes they sweep.
+
+    p(x | xi) = sum_m P(C_m | xi) [x in the volume swept by class m] (P1 IV).
 
     Attributes:
         grid: the lattice, world frame.
@@ -26,7 +28,11 @@ class SweptVolumePredictor(OccupancyPredictor):
         swept_voxels: number of voxels each class sweeps, by label.
     """
 
-    def __init__(self, classifier: IntentClassifier, swept: Mapping[int, NDArray[np.bool_]], grid: VoxelGrid) -> None:
+    needs_model = True
+    classifiers = None
+    also_trained = ("gmm",)
+
+    def __init__(self, classifier: Classifier, swept: Mapping[int, NDArray[np.bool_]], grid: VoxelGrid) -> None:
         """Join a fitted classifier and the volume each of its classes sweeps.
 
         Args:
@@ -65,7 +71,7 @@ class SweptVolumePredictor(OccupancyPredictor):
         grid: VoxelGrid,
         T_world_human: ArrayLike,
         *,
-        classifier: IntentClassifier | None = None,
+        classifier: Classifier | None = None,
         config: SweptVolumeConfig | None = None,
     ) -> SweptVolumePredictor:
         """Return the predictor of a trained model: sweeps its regressed motions once.
@@ -91,7 +97,13 @@ class SweptVolumePredictor(OccupancyPredictor):
         swept = {
             label: swept_volume(voxeliser, q, config) for label, q in zip(model.labels, model.regressed_q, strict=True)
         }
-        return cls(model.gmm_classifier() if classifier is None else classifier, swept, grid)
+        return cls(model.gmm_classifier(human) if classifier is None else classifier, swept, grid)
+
+    @classmethod
+    def from_request(cls, request: PredictorRequest) -> SweptVolumePredictor:
+        classifier = request.on_stream(request.make_classifier())
+        model = request.trained_model()
+        return cls.from_model(model, request.human, request.grid, request.T_world_human, classifier=classifier)
 
     def start(self) -> None:
         """Forget what was observed: the next posture is the first of a new motion."""

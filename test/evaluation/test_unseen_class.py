@@ -7,12 +7,11 @@ from functools import cache
 import numpy as np
 from small_library import small_library
 
+from humanpred_ros.evaluation.leave_one_out import FoldSettings, UnseenClass
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.motion.placement import turn_and_shift
-from humanpred_ros.predictors.folds import FoldSettings
-from humanpred_ros.predictors.unseen_class import UnseenClass
 from humanpred_ros.reaching.places import GoalPlaces
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
 

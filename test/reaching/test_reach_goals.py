@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.predictors.reach_goals import goals_from_text, goals_of_scene
+from humanpred_ros.reaching.reach_goals import goals_from_text, goals_of_scene
 from humanpred_ros.robot.reach_goal import ReachGoal
 from humanpred_ros.robot.scene import load_scene
 
@@ -18,7 +16,7 @@ SCENE = load_scene("four_places")
 def test_places_are_brought_into_the_trackers_frame() -> None:
     told = [ReachGoal(3, np.array([-0.22, -0.67, 0.8])), ReachGoal(12, np.array([0.0, 0.5, 1.0]))]
     by_text = goals_from_text(["3 -0.22 -0.67 0.80", "  12   0 .5 1e0 "], SCENE.T_world_human)
-    by_scene = goals_of_scene(replace(SCENE, reach_goals=tuple(told)))
+    by_scene = goals_of_scene({goal.label: goal.place_m for goal in told}, SCENE.T_world_human)
     for goals in (by_text, by_scene):
         assert goals is not None
         assert goals.labels == (3, 12)
@@ -27,7 +25,7 @@ def test_places_are_brought_into_the_trackers_frame() -> None:
 
 
 def test_no_places_are_none() -> None:
-    assert goals_of_scene(SCENE) is None
+    assert goals_of_scene({}, SCENE.T_world_human) is None
     for entries in ([], [""], [" ", ""]):
         assert goals_from_text(entries, SCENE.T_world_human) is None
 

@@ -16,14 +16,14 @@ from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import MotionLibrary, unwrap_angles
-from humanpred_ros.predictors.factory import make_predictor
-from humanpred_ros.predictors.reach_sources import ReachKnowledge, library_of_model, reach_weights
+from humanpred_ros.occupancy.predictor import PredictorRequest, make_predictor
 from humanpred_ros.reaching.features import N_FEATURES, NAMED_WEIGHTS
 from humanpred_ros.reaching.learner import ReachWeights
 from humanpred_ros.reaching.places import GoalPlaces
+from humanpred_ros.reaching.reach_sources import ReachKnowledge, library_of_model, reach_weights
 from humanpred_ros.reaching.weights import save_weights
-from humanpred_ros.recognition.forest_config import ForestConfig
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.recognition.forest_config import ForestSettings
+from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.recognition.training import TrainedModel, train_model
 
 HUMAN = HumanModel.kinect12()
@@ -37,7 +37,7 @@ def library() -> MotionLibrary:
 
 @cache
 def trained() -> TrainedModel:
-    return train_model(library(), HUMAN, GmmConfig(n_components=4, max_iterations=10), ForestConfig(n_trees=10))
+    return train_model(library(), HUMAN, GmmSettings(n_components=4, max_iterations=10), ForestSettings(n_trees=10))
 
 
 def test_a_model_remembers_whole_motions_in_order() -> None:
@@ -54,7 +54,7 @@ def test_a_model_remembers_whole_motions_in_order() -> None:
 
 
 def test_a_model_file_is_as_good_as_the_library() -> None:
-    by_model = make_predictor("reaching", trained(), HUMAN, GRID, np.eye(4))
+    by_model = make_predictor("reaching", PredictorRequest(HUMAN, GRID, np.eye(4), model=trained()))
     by_library = ReachKnowledge.of_library(library(), HUMAN).predictor(GRID, np.eye(4))
     motion = small_library(3, 1, 80, there_and_back=True, seed=7).motions[2]
     np.testing.assert_allclose(by_model.goals.places_m, by_library.goals.places_m, atol=0.02)

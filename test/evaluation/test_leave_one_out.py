@@ -8,20 +8,19 @@ import numpy as np
 import pytest
 from small_library import small_library
 
+from humanpred_ros import plugins
 from humanpred_ros.errors import LibraryFormatError, UsageError
+from humanpred_ros.evaluation import leave_one_out as module
+from humanpred_ros.evaluation.leave_one_out import FoldSettings, TrainedAnew, learned_from_class, leave_one_out
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.occupancy.predictor import OccupancyPredictor
-from humanpred_ros.predictors import leave_one_out as module
-from humanpred_ros.predictors.factory import PREDICTORS, needs_model
-from humanpred_ros.predictors.folds import FoldSettings
-from humanpred_ros.predictors.leave_one_out import TrainedAnew, learned_from_class, leave_one_out
-from humanpred_ros.recognition.gmm_config import GmmConfig
+from humanpred_ros.occupancy.predictor import Predictor, predictor_type
+from humanpred_ros.recognition.gmm_config import GmmSettings
 
 HUMAN = HumanModel.kinect12()
 GRID = VoxelGrid((-1.5, -1.5, -0.4), 0.05, (60, 60, 48))
-CONFIG = GmmConfig(n_components=3, max_iterations=10)
+CONFIG = GmmSettings(n_components=3, max_iterations=10)
 
 
 @cache
@@ -29,22 +28,24 @@ def library() -> MotionLibrary:
     return small_library(3, 4, 30)
 
 
-def settings_of(motions: MotionLibrary, gmm: GmmConfig = CONFIG) -> FoldSettings:
+def settings_of(motions: MotionLibrary, gmm: GmmSettings = CONFIG) -> FoldSettings:
     return FoldSettings(motions, HUMAN, GRID, np.eye(4), gmm=gmm)
 
 
-def played(predictor: OccupancyPredictor, name: str) -> np.ndarray:
+def played(predictor: Predictor, name: str) -> np.ndarray:
     motion = library().find(name)
     predictor.start()
     return np.array([predictor.update(q, t).occupancy.probability for q, t in zip(motion.q, motion.t_s, strict=True)])
 
 
-@pytest.mark.parametrize("name", [name for name in PREDICTORS if name != "reaching"])  # it leaves out whole classes
+@pytest.mark.parametrize(
+    "name", [name for name in plugins.names(plugins.PREDICTORS) if name != "reaching"]
+)  # it leaves out whole classes
 def test_the_same_as_trained_anew(name: str) -> None:
     folds = leave_one_out(name, settings_of(library()))
     for left_out in ("0/1", "20/3"):
         shared = played(folds.without(left_out), left_out)
-        if needs_model(name):
+        if predictor_type(name).needs_model:
             anew = played(TrainedAnew(settings_of(library()), name).without(left_out), left_out)
             np.testing.assert_allclose(shared, anew, atol=1e-6)
         # Another fold in between must not have left anything behind.
@@ -53,7 +54,7 @@ def test_the_same_as_trained_anew(name: str) -> None:
 
 
 def test_a_classifier_without_phase_has_mixtures_beside_it() -> None:
-    config = GmmConfig(n_components=3, max_iterations=10, phase_feature=False)
+    config = GmmSettings(n_components=3, max_iterations=10, phase_feature=False)
     shared = leave_one_out("swept_volume", settings_of(library(), config)).without("10/2")
     anew = TrainedAnew(settings_of(library(), config), "swept_volume").without("10/2")
     # The one regresses from the same mixtures as the other, but each trains its own classifier.
@@ -78,7 +79,7 @@ def test_a_motion_that_was_never_learned_from_needs_no_leaving_out() -> None:
 
 
 def test_who_learned_from_the_class_says_so() -> None:
-    assert {name: learned_from_class(name) for name in PREDICTORS} == {
+    assert {name: learned_from_class(name) for name in plugins.names(plugins.PREDICTORS)} == {
         "forecast": "yes",
         "swept_volume": "yes",
         "reaching": "no",

@@ -1,0 +1,265 @@
+"""A predictor is tested on motions it has not learned from: one predictor per motion left out, sharing the rest."""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humanpred_ros import plugins
+from humanpred_ros.errors import LibraryFormatError
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.lattice import VoxelGrid
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.motion import MotionLibrary
+from humanpred_ros.occupancy.forecast import ForecastPredictor
+from humanpred_ros.occupancy.predictor import Predictor, PredictorRequest, make_predictor, predictor_type
+from humanpred_ros.occupancy.swept_volume import swept_volume
+from humanpred_ros.occupancy.swept_volume_predictor import SweptVolumePredictor
+from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
+from humanpred_ros.reaching.places import GoalPlaces, ReachEnd, reach_ends, reaching_for
+from humanpred_ros.reaching.reach_sources import ReachKnowledge
+from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
+from humanpred_ros.recognition.class_mixtures import ClassMixtures, fit_class_mixtures, refit_class_mixtures
+from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER, Classifier
+from humanpred_ros.recognition.forest_classifier import ForestClassifier
+from humanpred_ros.recognition.forest_config import ForestSettings
+from humanpred_ros.recognition.gmm_classifier import GmmClassifier
+from humanpred_ros.recognition.gmm_config import GmmSettings
+from humanpred_ros.recognition.mixture import GaussianMixture
+from humanpred_ros.recognition.regression import regress
+from humanpred_ros.recognition.training import train_model
+
+
+@dataclass(frozen=True, eq=False)
+class FoldSettings:
+    """What every predictor of an evaluation is made from.
+
+    Attributes:
+        library: of which one motion at a time is left out; a motion that is not in it need not be.
+        human: whose body occupies.
+        grid: the lattice, world frame.
+        T_world_human: (4, 4) from the library's frame to the world.
+        classifier: name of the classifier that recognises the class.
+        gmm: settings of P1's mixtures; also those that its swept volumes are regressed from.
+        T_shift: (4, 4) how the tested people are moved in the library's frame. Of use only to who is told where they
+            may reach; what was learned stays where it was.
+    """
+
+    library: MotionLibrary
+    human: HumanModel
+    grid: VoxelGrid
+    T_world_human: FloatArray
+    classifier: str = "gmm"
+    gmm: GmmSettings = field(default_factory=GmmSettings)
+    T_shift: FloatArray = field(default_factory=lambda: np.eye(4))
+
+
+class LeaveOneOut(ABC):
+    """Makes predictors of one kind, each as if trained on the library without one of its motions.
+
+    Attributes:
+        learned_from_class: whether the predictors have learned from other motions of the left-out one's class: yes,
+            no, or – for who learns nothing.
+        settings: what they are made from.
+    """
+
+    learned_from_class: ClassVar[str] = "yes"
+
+    def __init__(self, settings: FoldSettings, predictor: str) -> None:
+        self.settings = settings
+
+    @abstractmethod
+    def without(self, name: str) -> Predictor:
+        """Return the predictor trained without the motion `name` (`class/index`); raises what training raises."""
+
+
+class Untrained(LeaveOneOut):
+    """For predictors that learn nothing: always the same one, started anew."""
+
+    learned_from_class = "–"
+
+    def __init__(self, settings: FoldSettings, predictor: str) -> None:
+        super().__init__(settings, predictor)
+        self._predictor = make_predictor(
+            predictor, PredictorRequest(settings.human, settings.grid, settings.T_world_human)
+        )
+
+    def without(self, name: str) -> Predictor:
+        """Return the predictor."""
+        self._predictor.start()
+        return self._predictor
+
+
+class TrainedAnew(LeaveOneOut):
+    """For any predictor: trains a model on the rest of the library, which takes as long as that takes."""
+
+    def __init__(self, settings: FoldSettings, predictor: str) -> None:
+        super().__init__(settings, predictor)
+        self._name = predictor
+
+    def without(self, name: str) -> Predictor:
+        """Return a predictor whose model never saw the motion."""
+        s = self.settings
+        rest = s.library.select(lambda motion: motion.name != name)
+        model = train_model(rest, s.human, s.gmm)
+        classifier = DEFAULT_CLASSIFIER if self._name == "forecast" else s.classifier
+        request = PredictorRequest(s.human, s.grid, s.T_world_human, model, classifier)
+        return make_predictor(self._name, request)
+
+
+class SweptVolumes(LeaveOneOut):
+    """For P1's predictor: only the left-out motion's class is learned, regressed and swept anew."""
+
+    def __init__(self, settings: FoldSettings, predictor: str = "swept_volume") -> None:
+        super().__init__(settings, predictor)
+        self._voxeliser = BodyVoxeliser(settings.human, settings.grid, settings.T_world_human)
+        self._phase = np.arange(settings.gmm.n_phase_frames, dtype=np.float64)
+
+    def without(self, name: str) -> SweptVolumePredictor:
+        """Return P1's predictor as if trained without the motion."""
+        s = self.settings
+        if all(motion.name != name for motion in s.library):
+            # A copy: what a classifier remembers of one person's place must not reach the next motion.
+            return SweptVolumePredictor(copy.deepcopy(self._fitted), self._swept_by_all, s.grid)
+        label = s.library.find(name).label
+        if label is None:
+            raise LibraryFormatError(f"leaving out {name}: wanted a motion of some class, this one has none")
+        classifier = fitted_without(self._fitted, s.library, name)
+        classes = _with_phase(classifier)
+        if classes is None:
+            rest = s.library.select(lambda motion: motion.name != name)
+            classes = refit_class_mixtures(self._joint, rest, label, s.gmm.with_phase())
+        anew = self._swept(classes.mixtures[classes.labels.index(label)])
+        return SweptVolumePredictor(classifier, {**self._swept_by_all, label: anew}, s.grid)
+
+    @cached_property
+    def _fitted(self) -> Classifier:
+        s = self.settings
+        # Abstract classes are types, too; mypy asks for concrete ones.
+        kind = plugins.load(plugins.CLASSIFIERS, s.classifier, Classifier)  # type: ignore[type-abstract]
+        return kind(s.human, s.gmm if s.classifier == "gmm" else None).fit(s.library)
+
+    @cached_property
+    def _joint(self) -> ClassMixtures:
+        """Mixtures over phase and posture of the whole library, from which its expected motions follow."""
+        learned = _with_phase(self._fitted)
+        return learned or fit_class_mixtures(self.settings.library, self.settings.gmm.with_phase())
+
+    @cached_property
+    def _swept_by_all(self) -> dict[int, NDArray[np.bool_]]:
+        joint = self._joint
+        return {label: self._swept(mixture) for label, mixture in zip(joint.labels, joint.mixtures, strict=True)}
+
+    def _swept(self, mixture: GaussianMixture) -> NDArray[np.bool_]:
+        return swept_volume(self._voxeliser, regress(mixture, self._phase).mean)
+
+
+class Forecasts(LeaveOneOut):
+    """For the default predictor: only trees that learned from the left-out motion are grown anew."""
+
+    def __init__(self, settings: FoldSettings, predictor: str = "forecast") -> None:
+        super().__init__(settings, predictor)
+
+    def without(self, name: str) -> ForecastPredictor:
+        """Return the forecast as if trained without the motion."""
+        s = self.settings
+        if all(motion.name != name for motion in s.library):
+            forest = ForestClassifier(s.human, model=self._fitted.model)
+        else:
+            forest = self._fitted.fit_without(s.library, name)
+        return ForecastPredictor(forest, s.grid, s.T_world_human)
+
+    @cached_property
+    def _fitted(self) -> ForestClassifier:
+        config = ForestSettings(seed=self.settings.gmm.seed)
+        return ForestClassifier(self.settings.human, config).fit(self.settings.library)
+
+
+class UnseenClass(LeaveOneOut):
+    """For the predictor that is told places: learns from no motion of the left-out one's class.
+
+    The class's place stands among the others it is told, as a scene would state it: where the other motions of the
+    class end. Places stand where the tested people are (`FoldSettings.T_shift`): they are told, not learned.
+    """
+
+    learned_from_class = "no"
+
+    def __init__(self, settings: FoldSettings, predictor: str = "reaching") -> None:
+        super().__init__(settings, predictor)
+        self._knowledge: dict[str, ReachKnowledge] = {}
+
+    def without(self, name: str) -> ReachingPredictor:
+        """Return the predictor as if nobody had ever been seen to reach for that motion's place."""
+        s = self.settings
+        label = _class_of(name)
+        if label not in self._knowledge:
+            left_out = {end.label for end in self._ends if _class_of(end.name) == label and end.label is not None}
+            strayed = reaching_for(self._ends, left_out)
+            others = s.library.select(lambda motion: motion.name not in strayed)
+            self._knowledge[label] = ReachKnowledge.of_library(others, s.human)
+        # The left-out motion has no part in its own class's place.
+        goals = GoalPlaces.of_ends(self._ends, without_motion=name).moved(s.T_shift)
+        return self._knowledge[label].predictor(s.grid, s.T_world_human, goals)
+
+    @cached_property
+    def _ends(self) -> tuple[ReachEnd, ...]:
+        return reach_ends(self.settings.library, self.settings.human)
+
+
+def fitted_without(whole: Classifier, library: MotionLibrary, name: str) -> Classifier:
+    """Return a classifier like one that was fitted to the whole library, fitted without one of its motions.
+
+    Classifiers that can do so more quickly than by learning everything again have a method `fit_without`.
+    """
+    shortcut = getattr(whole, "fit_without", None)
+    if shortcut is not None:
+        without: Classifier = shortcut(library, name)
+        return without
+    return type(whole)(whole.human, whole.settings).fit(library.select(lambda motion: motion.name != name))
+
+
+def _with_phase(classifier: Classifier) -> ClassMixtures | None:
+    """Return what a classifier learned, if motions can be regressed from it."""
+    classes = classifier.classes if isinstance(classifier, GmmClassifier) else None
+    return classes if classes is not None and classes.has_phase else None
+
+
+#: How predictors are trained without one motion, where there is something to share between the trainings.
+SHARED: Mapping[str, type[LeaveOneOut]] = MappingProxyType(
+    {"swept_volume": SweptVolumes, "forecast": Forecasts, "reaching": UnseenClass}
+)
+
+
+def leave_one_out(predictor: str, settings: FoldSettings) -> LeaveOneOut:
+    """Return what makes the predictors of an evaluation.
+
+    Args:
+        predictor: its name.
+        settings: library, human, grid and classifier.
+
+    Raises:
+        UsageError: an unknown predictor or classifier.
+    """
+    return _kind(predictor)(settings, predictor)
+
+
+def learned_from_class(predictor: str) -> str:
+    """Return whether a predictor of an evaluation has learned from the left-out motion's class: yes, no or –."""
+    return _kind(predictor).learned_from_class
+
+
+def _kind(predictor: str) -> type[LeaveOneOut]:
+    return SHARED.get(predictor, TrainedAnew) if predictor_type(predictor).needs_model else Untrained
+
+
+def _class_of(name: str) -> str:
+    """Return the class in a motion's name, `class/index`; a motion that nobody learns from is in no library."""
+    return name.rpartition("/")[0]

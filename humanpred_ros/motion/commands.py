@@ -1,0 +1,213 @@
+"""The commands `humanpred import` and `humanpred generate`."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from humanpred_ros.errors import LibraryFormatError, UsageError
+from humanpred_ros.human.marker_set import MarkerConfig
+from humanpred_ros.human.model import HumanModel, human_with
+from humanpred_ros.motion.bag_library import write_library_bag
+from humanpred_ros.motion.cleaning import clean_library, flag_library
+from humanpred_ros.motion.csv_library import DEFAULT_FRAME_PERIOD_S
+from humanpred_ros.motion.library_io import load_library
+from humanpred_ros.motion.library_statistics import comparison_markdown
+from humanpred_ros.motion.marker_files import SUFFIXES, MarkerRecording, read_marker_file
+from humanpred_ros.motion.marker_import import MarkerReader, class_of, read_names
+from humanpred_ros.motion.motion import Motion, MotionLibrary, require_plain_name
+from humanpred_ros.motion.reach_recordings import ACTIVE, PASSIVE, read_reach_recording, write_reach_recording
+from humanpred_ros.motion.synthetic import ReachGeneratorConfig, generate_library
+from humanpred_ros.settings import Settings, setting, setting_of
+
+
+class ImportSettings(Settings):
+    """Settings of `humanpred import`."""
+
+    source: tuple[str, ...] = setting(
+        ...,
+        "motion libraries: folders of class_<k>.csv files or of two-person recordings, bags; with --markers: C3D, TRC "
+        "or CSV files of markers, or folders of them",
+        positional=True,
+    )
+    out: Path = setting(..., "folder that gets a folder for each library")
+    overwrite: bool = setting(False, "replace what exists")
+    show_flags: bool = setting(False, "print everything that looks suspicious")
+    clean: bool = setting(False, "unwrap angles; without it everything is kept as it is")
+    drop: bool = setting(False, "clean, and leave out motions that jump or are mislabelled")
+    frame_period: float = setting(
+        DEFAULT_FRAME_PERIOD_S, "time between frames where a CSV library has no times", unit="s", low=1e-6
+    )
+    markers: Path | None = setting(None, "YAML file that names the markers: the sources are marker recordings")
+    name: str | None = setting(None, "with --markers: name of the library; none: that of the YAML file")
+    longest_gap: float = setting_of(MarkerConfig, "longest_gap_s")
+    upright_pelvis: bool = setting_of(MarkerConfig, "upright_pelvis")
+    trim: bool = setting(False, "leave out first and last frames in which the markers do not determine all DoFs")
+
+
+def import_libraries(settings: ImportSettings, console: Console) -> int:
+    """Turn motion libraries, or recordings of markers, into MCAP bags.
+
+    A motion library becomes the bag `OUT/<name>`. With `--markers NAMES.yaml` the sources are recordings of markers,
+    one take each, and NAMES.yaml says which marker of the files is which (`humanpred_ros.motion.marker_import` has the
+    format). As in P2 IV-B, joint centres are the middles of pairs of markers, and a posture has 23 DoFs: pelvis, torso
+    and right arm.
+
+    - One person: the bag `OUT/<name>` holds a motion for each take, to train on, replay and predict. Classes come from
+      the takes' names (`classes: {"left_*": 0}`).
+    - Two people (`persons: {active: ..., passive: ...}`): `OUT/<name>` gets `<take>_active.csv` and
+      `<take>_passive.csv`, the form that `evaluate reaching` and the reach predictor learn from.
+
+    Gaps: three markers of a segment determine the fourth; what is still hidden is interpolated for up to
+    `--longest-gap`; a longer gap is an error that names take, segment and frames, unless it is at the beginning or the
+    end and `--trim` is given. A marker that does not fit its segment's shape counts as hidden. Two labels that are
+    exchanged, and lengths in another unit, are errors. Unlabelled recordings (`labels: shape`) are labelled by the
+    shapes of the segments in the first frame and by closest distance from then on.
+
+    Nothing is written unless every source can be read, and nothing that exists is replaced without `--overwrite`.
+    """
+    if settings.markers is not None:
+        return _import_markers(settings, settings.markers, console)
+    libraries = [(source, load_library(source, frame_period_s=settings.frame_period)) for source in settings.source]
+    _require_different({source: library.name for source, library in libraries})
+    for source, library in libraries:
+        _write(source, library, settings, console)
+    return 0
+
+
+def _write(source: str, library: MotionLibrary, settings: ImportSettings, console: Console) -> None:
+    flags = flag_library(library, model=human_with(library.dof_names))
+    for reason, count in Counter(flag.reason for flag in flags).items():
+        console.print(f"{source}: {count} flagged {reason}", markup=False, highlight=False)
+    if settings.show_flags:
+        for flag in flags:
+            console.print(f"  {flag}", markup=False, highlight=False)
+    if settings.clean or settings.drop:
+        library = clean_library(library, drop=settings.drop, model=human_with(library.dof_names))
+    folder = settings.out / require_plain_name(source, library.name)
+    bag = write_library_bag(library, folder, overwrite=settings.overwrite)
+    console.print(f"{source} -> {bag}: {len(library)} motions", markup=False, highlight=False, soft_wrap=True)
+
+
+def _import_markers(settings: ImportSettings, names_file: Path, console: Console) -> int:
+    names = read_names(names_file)
+    name = require_plain_name(str(names_file), settings.name or names_file.stem)
+    files = _marker_files(settings.source)
+    _require_different({str(path): path.stem for path in files})
+    config = MarkerConfig(longest_gap_s=settings.longest_gap, upright_pelvis=settings.upright_pelvis)
+    roles = names.persons or {"": names}
+    readers = {role: MarkerReader(names, person, names_file.parent, config) for role, person in roles.items()}
+    recordings = [read_marker_file(path, names.rate_hz) for path in files]
+    if names.persons:
+        return _write_two_people(settings, name, readers, recordings, console)
+    motions: list[Motion] = []
+    for recording in recordings:
+        label = class_of(recording.name, names.classes, names_file)
+        index = sum(motion.label == label for motion in motions)
+        take = readers[""].take(recording, label, index, settings.trim)
+        _say(console, f"{recording.name} is {take.motion.name}", len(take.motion), take.said)
+        motions.append(take.motion)
+    provenance = {
+        "format": "markers",
+        "source": names_file.name,
+        "stamps": "recorded",
+        "takes": "; ".join(f"{m.name} is {r.name}" for m, r in zip(motions, recordings, strict=True)),
+    }
+    _write(names_file.name, MotionLibrary(name, tuple(motions), provenance), settings, console)
+    return 0
+
+
+def _write_two_people(
+    settings: ImportSettings,
+    name: str,
+    readers: dict[str, MarkerReader],
+    recordings: list[MarkerRecording],
+    console: Console,
+) -> int:
+    folder = settings.out / name
+    names = [require_plain_name(str(recording.path), recording.name) for recording in recordings]
+    existing = [path for take in names for role in (ACTIVE, PASSIVE)
+                if os.path.lexists(path := folder / f"{take}_{role}.csv")]  # fmt: skip
+    if existing and not settings.overwrite:
+        raise UsageError(f"{existing[0]}: wanted a new file, this one exists; choose another --out or --overwrite")
+    settings.out.mkdir(parents=True, exist_ok=True)
+    # Everything is written beside the folder and read again before anything in the folder is replaced.
+    with tempfile.TemporaryDirectory(prefix=".import-", dir=settings.out) as place:
+        for recording in recordings:
+            takes = {role: reader.take(recording, None, 0, settings.trim) for role, reader in readers.items()}
+            begin = max(take.frames.start for take in takes.values())
+            end = min(take.frames.stop for take in takes.values())
+            if end - begin < 2:
+                raise LibraryFormatError(f"{recording.path}: wanted frames that show both people, got {end - begin}")
+            both = {role: _cut(take.motion, begin - take.frames.start, end - begin) for role, take in takes.items()}
+            write_reach_recording(Path(place), recording.name, both[ACTIVE], both[PASSIVE])
+            files = {role: Path(place) / f"{recording.name}_{role}.csv" for role in (ACTIVE, PASSIVE)}
+            found = read_reach_recording(recording.name, files[ACTIVE], files[PASSIVE], HumanModel.mocap23())
+            said = [f"{role}: {take.said}" for role, take in takes.items() if take.said]
+            _say(console, recording.name, end - begin, "; ".join([*said, *found.notes]))
+        folder.mkdir(exist_ok=True)
+        for path in Path(place).iterdir():
+            path.replace(folder / path.name)
+    console.print(f"{settings.markers} -> {folder}: {len(names)} recordings of two people", markup=False,
+                  highlight=False, soft_wrap=True)  # fmt: skip
+    return 0
+
+
+def _cut(motion: Motion, begin: int, frames: int) -> Motion:
+    part = slice(begin, begin + frames)
+    return Motion(motion.t_s[part] - motion.t_s[begin], motion.q[part], motion.dof_names, frame_id=motion.frame_id)
+
+
+def _marker_files(sources: tuple[str, ...]) -> list[Path]:
+    files: list[Path] = []
+    for source in map(Path, sources):
+        inside = source.iterdir() if source.is_dir() else [source]
+        found = sorted(path for path in inside if path.suffix.lower() in SUFFIXES or not source.is_dir())
+        if not found:
+            raise LibraryFormatError(f"{source}: wanted files of markers ({', '.join(SUFFIXES)}), found none")
+        files += found
+    return files
+
+
+def _require_different(names: dict[str, str]) -> None:
+    """Refuse two sources of one name: one would replace the other."""
+    for name in names.values():
+        others = [other for other in names if names[other] == name]
+        if len(others) > 1:
+            raise UsageError(
+                f"{' and '.join(others)}: wanted sources of different names, both are named {name}; import them into "
+                "different folders"
+            )
+
+
+def _say(console: Console, what: str, frames: int, said: str) -> None:
+    more = f"; {said}" if said else ""
+    console.print(f"  {what}: {frames} frames{more}", markup=False, highlight=False, soft_wrap=True)
+
+
+class GenerateSettings(Settings):
+    """Settings of `humanpred generate`."""
+
+    out: Path = setting(..., "bag to write")
+    motions: int = setting_of(ReachGeneratorConfig, "motions_per_class", description="motions per class")
+    seed: int = setting(0, "of all random draws", low=0)
+    compare: str | None = setting(None, "library whose statistics are printed beside the new one's")
+    overwrite: bool = setting(False, "replace a bag that exists")
+
+
+def generate(settings: GenerateSettings, console: Console) -> int:
+    """Make a synthetic motion library by simulation."""
+    other = load_library(settings.compare) if settings.compare else None
+    config = ReachGeneratorConfig(motions_per_class=settings.motions, name=settings.out.name)
+    with console.status(f"generating {settings.motions} motions per class"):
+        library = generate_library(config, np.random.default_rng(settings.seed))
+    write_library_bag(library, settings.out, overwrite=settings.overwrite)
+    console.print(f"{settings.out}: {len(library)} motions, seed {settings.seed}")
+    if other is not None:
+        print(comparison_markdown(library, other))
+    return 0
