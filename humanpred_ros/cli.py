@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
-import re
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -16,7 +15,7 @@ from rich.console import Console
 
 from humanpred_ros import __version__
 from humanpred_ros.errors import HumanPredError, SettingsError, UsageError
-from humanpred_ros.settings import Settings, facts_of
+from humanpred_ros.settings import Settings, facts_of, spelled
 
 #: Width of tables that go to a file or another program.
 _WIDTH_OF_FILES = 130
@@ -132,9 +131,7 @@ def _parse_flags(name: str, where: str, text: str, words: list[str]) -> tuple[Co
     try:
         return run, settings_type(**vars(parser.parse_args(words)))
     except SettingsError as error:
-        # The user knows flags, not the names of classes and fields.
-        fields = re.compile(rf"^{settings_type.__name__} (\w+)")
-        raise SettingsError(fields.sub(lambda field: _flag(settings_type, field[1]), str(error))) from None
+        raise SettingsError(spelled(error, settings_type, lambda name: flag(settings_type, name))) from None
 
 
 class _Parser(argparse.ArgumentParser):
@@ -154,7 +151,7 @@ def add_flags(parser: argparse.ArgumentParser, settings_type: type[Settings]) ->
         facts, kinds = facts_of(field), (field.annotation, *get_args(field.annotation))
         text = field.description or ""
         if not field.is_required():
-            text += f" (default: {_spelled(field.default)})"
+            text += f" (default: {shown(field.default)})"
         options: dict[str, Any] = {"help": text.replace("%", "%%"), "default": argparse.SUPPRESS}
         if field.annotation is bool:
             options["action"] = argparse.BooleanOptionalAction if field.default else "store_true"
@@ -169,7 +166,7 @@ def add_flags(parser: argparse.ArgumentParser, settings_type: type[Settings]) ->
         if facts.get("positional"):
             parser.add_argument(name, **options)
         else:
-            parser.add_argument(_flag(settings_type, name), dest=name, required=field.is_required(), **options)
+            parser.add_argument(flag(settings_type, name), dest=name, required=field.is_required(), **options)
 
 
 class _Tuple(argparse.Action):
@@ -180,14 +177,16 @@ class _Tuple(argparse.Action):
         setattr(namespace, self.dest, tuple(part for part in parts if part))
 
 
-def _flag(settings_type: type[Settings], name: str) -> str:
+def flag(settings_type: type[Settings], name: str) -> str:
+    """Return how a field is given on the command line."""
     field = settings_type.model_fields.get(name)
     if field is not None and facts_of(field).get("positional"):
         return name
     return f"--{name.replace('_', '-')}"
 
 
-def _spelled(default: Any) -> str:
+def shown(default: Any) -> str:
+    """Return a default as help shows it."""
     if isinstance(default, tuple):
         return ",".join(map(str, default)) or "none"
     if isinstance(default, bool):

@@ -6,6 +6,8 @@ of the command line, the keys of the YAML files and the reference in docs/: noth
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -69,6 +71,17 @@ def facts_of(field: FieldInfo) -> dict[str, Any]:
     return dict(facts) if isinstance(facts, dict) else {}
 
 
+def spelled(error: SettingsError, owner: type[Settings], spell: Callable[[str], str]) -> str:
+    """Return the text of an error of a settings class, with the field named as the user knows it.
+
+    Args:
+        error: raised when `owner` was made.
+        owner: settings class.
+        spell: the field's name to that of a flag or parameter.
+    """
+    return re.sub(rf"^{owner.__name__} (\w+)", lambda found: spell(found[1]), str(error))
+
+
 class Settings(BaseModel):
     """Base class of all settings: cannot be changed, refuses unknown names, wrong types and values out of range."""
 
@@ -99,6 +112,11 @@ class Settings(BaseModel):
 
     def check(self) -> None:
         """Raise SettingsError for values that do not go together; overridden where there are such."""
+
+    def part(self, owner: type[T], **changes: Any) -> T:
+        """Return settings of class `owner` with the values of the fields that it shares with these."""
+        shared = owner.model_fields.keys() & type(self).model_fields.keys()
+        return owner(**{**{name: getattr(self, name) for name in shared}, **changes})
 
     def replaced(self: T, **changes: Any) -> T:
         """Return these settings with some values changed, checked again."""

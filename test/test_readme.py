@@ -29,7 +29,7 @@ def test_every_node_and_topic_is_named() -> None:
     from humanpred_ros import topics
 
     for source in (REPOSITORY / "humanpred_ros" / "nodes").glob("*.py"):
-        if "def main()" in source.read_text(encoding="utf-8"):
+        if "main = entry_point(" in source.read_text(encoding="utf-8"):
             assert f"`{source.stem}`" in README
     published = ("OCCUPANCY", "VOXEL_GRID", "HUMAN_GOALS", "JOINT_STATES", "TRAJECTORY", "DECISION")
     for name in (*published, "CANDIDATES", "ROLLOUTS"):

@@ -155,6 +155,11 @@ def run_node(make_node: Callable[[], GraphNode], arguments: list[str] | None = N
     return 0
 
 
+def entry_point(make_node: Callable[[], GraphNode]) -> Callable[[], None]:
+    """Return the function that a node's executable calls."""
+    return lambda: sys.exit(run_node(make_node))
+
+
 def _initialise(arguments: list[str]) -> None:
     """Start rclpy, with one-line errors for arguments it cannot read, or that nobody would read."""
     try:

@@ -68,7 +68,7 @@ def _cloud(columns: NDArray[Any], t_ns: int, frame_id: str) -> PointCloud2:
         width=len(columns),
         fields=[
             PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1)
-            for k, name in enumerate(columns.dtype.names)
+            for k, name in enumerate(columns.dtype.names or ())
         ],
         point_step=columns.dtype.itemsize,
         row_step=columns.nbytes,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+from typing import Any, Literal
 
 import numpy as np
 from rcl_interfaces.msg import SetParametersResult
@@ -17,11 +17,11 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import human_named
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.nodes import conversions, qos
-from humanpred_ros.nodes.base import GraphNode, run_node
+from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.markers import occupancy_markers
 from humanpred_ros.nodes.parameters import declare
-from humanpred_ros.nodes.settings import OccupancyPredictorSettings
 from humanpred_ros.occupancy.predictor import (
+    DEFAULT_PREDICTOR,
     Prediction,
     Predictor,
     PredictorRequest,
@@ -29,20 +29,65 @@ from humanpred_ros.occupancy.predictor import (
     make_predictor,
     predictor_type,
 )
+from humanpred_ros.reaching.features import NAMED_WEIGHTS
 from humanpred_ros.reaching.places import GoalPlaces
 from humanpred_ros.reaching.reach_goals import goals_from_text, goals_of_scene
 from humanpred_ros.reaching.reach_sources import ReachKnowledge
-from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
+from humanpred_ros.reaching.reaching_predictor import DEFAULT_WEIGHTS, ReachingPredictor
 from humanpred_ros.reaching.weights import reach_weights
+from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.recognition.model_file import load_model
 from humanpred_ros.recognition.training import TrainedModel, train_model
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import Scene, load_scene
+from humanpred_ros.settings import Settings, setting, setting_of
 
 _MARKER_PERIOD_NS = 200_000_000
 #: How often it is looked at whether the person can get to the goals; people walk, but not far in that time.
 _REACH_PERIOD_NS = 1_000_000_000
+
+
+class OccupancyPredictorSettings(Settings):
+    """Parameters of `occupancy_predictor`."""
+
+    scene: str = setting("face_to_face", "scene name in config/scenes, or a YAML file")
+    model: str = setting("", "model file made by `humanpred train`; empty: train on `library` at start")
+    library: str = setting("synthetic_reaches", "library trained on when no model is given")
+    classifier: str = setting(
+        DEFAULT_CLASSIFIER, "how a partial motion is recognised: forest, gmm (P1), or an installed package's"
+    )
+    evidence: Literal["sum", "mean"] = setting_of(
+        GmmSettings, "evidence", description="gmm only: sum or mean of the postures' log densities"
+    )
+    window_frames: int = setting_of(
+        GmmSettings,
+        "window_frames",
+        default=0,
+        description="gmm only: count only so many last postures; 0 counts all",
+        low=0,
+        high=100000,
+    )
+    predictor: str = setting(
+        DEFAULT_PREDICTOR,
+        "forecast, swept_volume (P1), reaching (P2), a baseline (current, current_accumulated, constant_velocity), or "
+        "an installed package's",
+    )
+    human: str = setting("kinect12", "whose postures come: kinect12 (P1, 12 DoFs) or mocap23 (P2, 23 DoFs)")
+    reach_goals: tuple[str, ...] = setting(
+        ("",),
+        "reaching only: where the hand may go, each 'label x y z' (world frame, m); [''] asks scene, then library",
+        changeable=True,
+    )
+    reach_weights: str = setting(
+        DEFAULT_WEIGHTS, f"reaching only: weights of P2's cost, {', '.join(NAMED_WEIGHTS)}, or a .json file"
+    )
+    detect_onsets: bool = setting(True, "find where motions begin and end; false: the first posture begins one")
+    body_id: str = setting("body_0", "REP-155 body id listened to")
+    threshold: float = setting(0.001, "voxels with a higher probability are published", low=0.0, high=1.0)
+    listener: str = setting("", "node that must be listening to the occupancy before this one is ready")
+    restart_gap_s: float = setting(1.0, "a longer silence starts a new motion", unit="s", low=0.05, high=60.0)
+    lossless: bool = setting(False, "subscribe reliably and keep every posture (stepped runs)")
 
 
 class OccupancyPredictorNode(GraphNode):
@@ -62,7 +107,7 @@ class OccupancyPredictorNode(GraphNode):
         scene = load_scene(settings.scene)
         self.human = human_named(settings.human)
         self.T_world_human = scene.T_world_human
-        online: dict[str, object] = {}
+        online: dict[str, Any] = {}
         if settings.classifier == "gmm":
             online = {"evidence": settings.evidence, "window_frames": settings.window_frames or None}
         # Named wrongly, these should not cost a training first.
@@ -93,7 +138,7 @@ class OccupancyPredictorNode(GraphNode):
             qos.sensor_subscription(settings.lossless, newest_only=settings.predictor == "reaching"),
         )
 
-    def _trained(self, scene: Scene, online: dict[str, object]) -> Predictor:
+    def _trained(self, scene: Scene, online: dict[str, Any]) -> Predictor:
         """Return one of the predictors that know classes, or nothing."""
         settings = self.settings
         model = self._model() if predictor_type(settings.predictor).needs_model else None
@@ -218,9 +263,7 @@ class OccupancyPredictorNode(GraphNode):
             self.warn({f"goal {far.label}": str(far) for far in self.predictor.goals.out_of_reach(self.human, q)})
 
 
-def main() -> None:
-    """Console entry point."""
-    sys.exit(run_node(OccupancyPredictorNode))
+main = entry_point(OccupancyPredictorNode)
 
 
 if __name__ == "__main__":

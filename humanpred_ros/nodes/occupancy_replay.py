@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 from rclpy.duration import Duration
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState, PointCloud2
@@ -12,10 +10,17 @@ from humanpred_ros import topics
 from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.errors import BagError
 from humanpred_ros.nodes import conversions, qos
-from humanpred_ros.nodes.base import run_node
+from humanpred_ros.nodes.base import entry_point
 from humanpred_ros.nodes.parameters import declare
-from humanpred_ros.nodes.settings import OccupancyReplaySettings
 from humanpred_ros.nodes.stepping import SteppedSource
+from humanpred_ros.settings import Settings, setting
+
+
+class OccupancyReplaySettings(Settings):
+    """Parameters of `occupancy_replay`."""
+
+    bag: str = setting("", "bag of a recorded run")
+    wait_for: str = setting("", "comma-separated nodes whose /diagnostics must say ready before the replay starts")
 
 
 class OccupancyReplay(SteppedSource):
@@ -66,10 +71,7 @@ class OccupancyReplay(SteppedSource):
         super().finish(reason)
 
 
-def main() -> None:
-    """Console entry point."""
-    sys.exit(run_node(OccupancyReplay))
-
+main = entry_point(OccupancyReplay)
 
 if __name__ == "__main__":
     main()

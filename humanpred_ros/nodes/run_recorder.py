@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -18,11 +17,24 @@ from humanpred_ros.bags.qos import DEFAULT_QOS, LATCHED_QOS
 from humanpred_ros.bags.writer import BagWriter
 from humanpred_ros.errors import UsageError
 from humanpred_ros.nodes import qos
-from humanpred_ros.nodes.base import GraphNode, run_node
+from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.parameters import declare
-from humanpred_ros.nodes.settings import RunRecorderSettings
+from humanpred_ros.settings import Settings, setting
 
 _FLUSH_PERIOD_S = 0.5
+
+
+class RunRecorderSettings(Settings):
+    """Parameters of `run_recorder`."""
+
+    output: str = setting("", "folder of the bag; must not exist yet")
+    body_id: str = setting("body_0", "REP-155 body id recorded")
+    wait_for: str = setting(
+        ",".join((topics.human_joint_states("<id>"), topics.OCCUPANCY, topics.DECISION, topics.JOINT_STATES)),
+        "comma-separated topics that must have a publisher before the recorder calls itself ready",
+    )
+    run_info: str = setting("{}", "JSON object of facts about the run, stored in the bag as metadata")
+    markers: bool = setting(False, "record the markers too; their publishers are silent otherwise, which saves time")
 
 
 class RunRecorder(GraphNode):
@@ -79,7 +91,8 @@ class RunRecorder(GraphNode):
         def on_message(data: bytes, info: Any) -> None:
             self.writer.write(topic, info["received_timestamp"], bytes(data), info["source_timestamp"])
 
-        return self.create_subscription(kind, topic, on_message, profile, raw=True)
+        # rclpy's annotation leaves out that a callback may take the times of a message, too.
+        return self.create_subscription(kind, topic, on_message, profile, raw=True)  # type: ignore[arg-type]
 
     def waiting_for(self) -> str:
         missing = [topic for topic in self.wanted if not self.inputs[topic].get_publisher_count()]
@@ -91,10 +104,7 @@ class RunRecorder(GraphNode):
         self.get_logger().info(f"bag written: {self.settings.output}")
 
 
-def main() -> None:
-    """Console entry point."""
-    sys.exit(run_node(RunRecorder))
-
+main = entry_point(RunRecorder)
 
 if __name__ == "__main__":
     main()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
@@ -11,15 +9,22 @@ from trajectory_msgs.msg import JointTrajectory
 from humanpred_ros import topics
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.nodes import conversions, qos
-from humanpred_ros.nodes.base import GraphNode, run_node
+from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.parameters import declare
-from humanpred_ros.nodes.settings import SimulatedArmSettings
 from humanpred_ros.planning.schedule import Schedule
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
 from humanpred_ros.robot.scene import load_scene
+from humanpred_ros.settings import Settings, setting
 
 #: Before any trajectory: the arm has always rested.
 _LONG_AGO_S = -1e9
+
+
+class SimulatedArmSettings(Settings):
+    """Parameters of `simulated_arm`."""
+
+    scene: str = setting("face_to_face", "scene whose start configuration the arm is in")
+    rate_hz: float = setting(50.0, "joint states per second", unit="Hz", low=1.0, high=1000.0)
 
 
 class SimulatedArm(GraphNode):
@@ -86,10 +91,7 @@ class SimulatedArm(GraphNode):
         self.publisher.publish(conversions.joint_state(RIGHT_ARM_JOINTS, q, now_ns, v=v))
 
 
-def main() -> None:
-    """Console entry point."""
-    sys.exit(run_node(SimulatedArm))
-
+main = entry_point(SimulatedArm)
 
 if __name__ == "__main__":
     main()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 import time
+from typing import Literal
 
 import numpy as np
 from rclpy.duration import Duration
@@ -12,22 +12,43 @@ from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from humanpred_ros import topics
-from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import human_with
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.nodes import conversions, qos
-from humanpred_ros.nodes.base import run_node
+from humanpred_ros.nodes.base import entry_point
 from humanpred_ros.nodes.markers import skeleton_markers
 from humanpred_ros.nodes.parameters import declare
-from humanpred_ros.nodes.settings import SkeletonTrackerReplaySettings
 from humanpred_ros.nodes.stepping import SteppedSource
 from humanpred_ros.resources import locate
+from humanpred_ros.settings import Settings, setting
 
 #: Where simulated time starts: ROS reads time 0 as "no clock yet".
 SIMULATED_ORIGIN_NS = conversions.NS_PER_S
 _CLOCK_PERIOD_NS = 5_000_000
 _MARKER_PERIOD_NS = 100_000_000
+
+
+class SkeletonTrackerReplaySettings(Settings):
+    """Parameters of `skeleton_tracker_replay`."""
+
+    library: str = setting("synthetic_reaches", "motion library: a rosbag2 directory, a CSV folder, or a shipped name")
+    trajectory: str = setting("0/0", "motion to replay: class/index, or the running number over sorted classes")
+    body_id: str = setting("body_0", "REP-155 body id, part of the topic names")
+    mode: Literal["real_time", "stepped"] = setting(
+        "real_time", "real_time, or stepped: wait for the planner's decision after every posture"
+    )
+    rate: float = setting(1.0, "playback speed in real_time mode", low=0.05, high=20.0)
+    hold_last_s: float = setting(
+        4.0, "time for which the last posture is repeated after the motion's end", unit="s", low=0.0, high=600.0
+    )
+    wait_for: str = setting("", "comma-separated nodes whose /diagnostics must say ready before the replay starts")
+    listener: str = setting("", "node that must be listening to the postures before the replay starts")
+    ready_timeout_s: float = setting(180.0, "longest wait for those nodes", unit="s", low=0.1, high=600.0)
+    decision_timeout_s: float = setting(
+        30.0, "longest wait for one decision in stepped mode", unit="s", low=0.1, high=600.0
+    )
+    publish_clock: bool = setting(False, "publish /clock; always on in stepped mode")
 
 
 class SkeletonTrackerReplay(SteppedSource):
@@ -40,8 +61,6 @@ class SkeletonTrackerReplay(SteppedSource):
     def __init__(self) -> None:
         super().__init__("skeleton_tracker_replay")
         self.settings = settings = declare(self, SkeletonTrackerReplaySettings)
-        if settings.mode not in ("real_time", "stepped"):
-            raise UsageError(f"parameter mode: wanted real_time or stepped, got {settings.mode!r}")
         stepped = settings.mode == "stepped"
         self.simulated_time = stepped or settings.publish_clock or settings.rate != 1.0
         library = load_library(locate(settings.library, "bags"))
@@ -125,10 +144,7 @@ class SkeletonTrackerReplay(SteppedSource):
         super().finish(reason)
 
 
-def main() -> None:
-    """Console entry point."""
-    sys.exit(run_node(SkeletonTrackerReplay))
-
+main = entry_point(SkeletonTrackerReplay)
 
 if __name__ == "__main__":
     main()

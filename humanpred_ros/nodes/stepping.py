@@ -25,7 +25,8 @@ class SteppedSource(GraphNode):
 
     Attributes:
         stepped: the next item goes out only after the decision on the last one has come back.
-        begun_s: steady time at which feeding began, None before.
+        begun: whether feeding has begun.
+        begun_s: steady time at which it began.
         finished: nothing more is to be sent.
     """
 
@@ -41,7 +42,7 @@ class SteppedSource(GraphNode):
             patience_s: the longest waits for readiness and for one decision.
         """
         self.stepped = stepped
-        self.begun_s: float | None = None
+        self.begun, self.begun_s = False, 0.0
         self._ready_timeout_s, self._decision_timeout_s = patience_s
         self._wanted = [peer.strip() for peer in peers.split(",") if peer.strip()]
         self._seen: dict[str, str] = {}
@@ -101,10 +102,10 @@ class SteppedSource(GraphNode):
         if self.finished:
             return
         waited_s = time.monotonic() - self._waiting_since_s
-        if self.begun_s is None:
+        if not self.begun:
             waiting = self.waiting_for()
             if not waiting:
-                self.begun_s = time.monotonic()
+                self.begun, self.begun_s = True, time.monotonic()
                 self.begin()
                 if self.stepped:
                     self.publish_next()

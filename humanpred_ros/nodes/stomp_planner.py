@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -17,17 +16,56 @@ from humanpred_ros.errors import ArrayError, PlanningError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.nodes import conversions, qos
-from humanpred_ros.nodes.base import GraphNode, run_node
+from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.markers import candidate_markers, rollout_markers
 from humanpred_ros.nodes.parameters import declare
-from humanpred_ros.nodes.settings import StompPlannerSettings
 from humanpred_ros.planning.decision import HOLD, Decision
 from humanpred_ros.planning.replanner import MultiGoalReplanner
+from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.robot.scene import load_scene
+from humanpred_ros.settings import Settings, setting, setting_of
+from humanpred_ros.stomp.config import StompConfig
 
 _WATCH_PERIOD_S = 0.05
 #: Share of a step after its occupancy's stamp that STOMP may take in real time: few goals answer sooner.
 _SHARE_PER_GOAL, _LEAST_SHARE = 0.16, 0.25
+
+
+class StompPlannerSettings(Settings):
+    """Parameters of `stomp_planner`."""
+
+    scene: str = setting("face_to_face", "scene name in config/scenes, or a YAML file")
+    period_s: float = setting_of(ReplannerConfig, "period_s")
+    seed: int = setting_of(ReplannerConfig, "seed")
+    threads: int = setting_of(ReplannerConfig, "threads")
+    waypoints: int = setting_of(StompConfig, "waypoints")
+    iterations: int = setting_of(StompConfig, "iterations", low=1)
+    rollouts: int = setting_of(
+        StompConfig, "rollouts", description="noisy rollouts per iteration, half of them reused", low=2
+    )
+    noise_std: float = setting_of(StompConfig, "noise_std")
+    noise_decay: float = setting_of(StompConfig, "noise_decay")
+    velocity_scale: float = setting_of(ReplannerConfig, "velocity_scale")
+    acceleration_limit: float = setting_of(ReplannerConfig, "acceleration_limit")
+    min_improvement: float = setting_of(ReplannerConfig, "min_improvement")
+    padding_m: float = setting_of(ReplannerConfig, "padding_m")
+    human_margin_m: float = setting_of(ReplannerConfig, "human_margin_m")
+    min_separation_m: float = setting_of(ReplannerConfig, "min_separation_m")
+    likely_probability: float = setting_of(ReplannerConfig, "likely_probability")
+    controller: str = setting("", "node that must be listening to the trajectories before this one is ready")
+    listener: str = setting("", "node that must be listening to the decisions before this one is ready")
+    max_human_age_s: float = setting(0.5, "older human occupancy leads to a hold", unit="s", low=0.02, high=60.0)
+    stomp_share: float = setting(
+        0.6,
+        "share of a step after which STOMP must stop in real time, with many goals; sooner with few",
+        low=0.05,
+        high=0.95,
+    )
+    lossless: bool = setting(False, "subscribe reliably and keep every occupancy (stepped runs)")
+
+    def replanner_config(self) -> ReplannerConfig:
+        """Return the replanner's settings these parameters stand for."""
+        return self.part(ReplannerConfig, stomp=self.part(StompConfig, reused=self.rollouts // 2))
 
 
 class StompPlannerNode(GraphNode):
@@ -44,9 +82,8 @@ class StompPlannerNode(GraphNode):
         self.replanner = MultiGoalReplanner.for_scene(self.scene, settings.replanner_config())
         self.replanner.warm_up()
         self.arm_q: FloatArray | None = None
-        self.origin_ns: int | None = None
-        self.last_ns = self.last_now_ns = 0
-        self.holding = False
+        self.begun = self.holding = False
+        self.origin_ns = self.last_ns = self.last_now_ns = 0
 
         self.trajectory_publisher = self.create_publisher(JointTrajectory, topics.TRAJECTORY, qos.COMMAND)
         self.decision_publisher = self.create_publisher(DiagnosticArray, topics.DECISION, qos.SENSOR_PUBLISHER)
@@ -92,14 +129,14 @@ class StompPlannerNode(GraphNode):
         now_ns = self.get_clock().now().nanoseconds
         age_s = (now_ns - stamp_ns) * 1e-9
         stale = age_s > self.settings.max_human_age_s and not self.settings.lossless
-        back = self.origin_ns is not None and stamp_ns < self.last_ns
-        if self.origin_ns is None or (back and (self.settings.lossless or now_ns < self.last_now_ns)):
+        back = self.begun and stamp_ns < self.last_ns
+        if not self.begun or (back and (self.settings.lossless or now_ns < self.last_now_ns)):
             try:
                 self.replanner.start(self.arm_q, 0.0)
             except PlanningError as error:
                 self.refuse(str(error))
                 return
-            self.origin_ns = self.last_ns = stamp_ns
+            self.begun, self.origin_ns, self.last_ns = True, stamp_ns, stamp_ns
         elif back and not stale:  # overtaken by a newer one: the clock has not jumped back, so neither has the arm
             self.refuse("stamp not increasing: an occupancy came after a newer one")
             return
@@ -140,7 +177,7 @@ class StompPlannerNode(GraphNode):
 
     def watch(self) -> None:
         """Hold when the last human data have become too old to act on; an arm at rest holds already."""
-        if self.origin_ns is None or self.holding or self.replanner.at_rest(self.now_s()):
+        if not self.begun or self.holding or self.replanner.at_rest(self.now_s()):
             return
         age_s = (self.get_clock().now().nanoseconds - self.last_ns) * 1e-9
         if age_s > self.settings.max_human_age_s:
@@ -173,10 +210,7 @@ class StompPlannerNode(GraphNode):
             self.rollout_publisher.publish(rollout_markers(noisy, conversions.time_message(stamp_ns)))
 
 
-def main() -> None:
-    """Console entry point."""
-    sys.exit(run_node(StompPlannerNode))
-
+main = entry_point(StompPlannerNode)
 
 if __name__ == "__main__":
     main()

@@ -10,7 +10,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import fields
 from pathlib import Path
 from types import ModuleType
 from typing import Any, List  # noqa: UP035 -- launch knows no list[str]
@@ -26,21 +25,14 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
+from reference import node_settings
 
 from humanpred_ros import topics
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.processes import free_domain_id
-from humanpred_ros.nodes import settings
 from humanpred_ros.nodes.parameters import declare
 
-NODES: dict[str, type[Any]] = {
-    "skeleton_tracker_replay": settings.SkeletonTrackerReplaySettings,
-    "occupancy_predictor": settings.OccupancyPredictorSettings,
-    "stomp_planner": settings.StompPlannerSettings,
-    "simulated_arm": settings.SimulatedArmSettings,
-    "run_recorder": settings.RunRecorderSettings,
-    "occupancy_replay": settings.OccupancyReplaySettings,
-}
+NODES: dict[str, type[Any]] = node_settings()
 LAUNCH_FILE = REPOSITORY / "launch" / "human_aware_arm.launch.py"
 _COLCON = "import sys; from colcon_core.command import main; sys.exit(main())"
 _NOT_PACKAGED = (".*", "*.egg-info", "build", "install", "log", "runs", "test", "venv*")
@@ -292,7 +284,7 @@ def test_without_parameters_the_defaults_are_in_force(context: Any, name: str) -
 
 def test_parameters_are_read(context: Any) -> None:
     got = declared(context, "stomp_planner", seed=7, period_s=0.25, lossless=True, scene="side_by_side")
-    assert got == settings.StompPlannerSettings(seed=7, period_s=0.25, lossless=True, scene="side_by_side")
+    assert got == NODES["stomp_planner"](seed=7, period_s=0.25, lossless=True, scene="side_by_side")
 
 
 @pytest.mark.parametrize(
@@ -377,7 +369,7 @@ def test_the_launch_file_names_nodes_and_parameters_that_exist(record: str, monk
         assert node.named["package"] == "humanpred_ros"
         (parameters,) = node.named["parameters"]
         name = node.named["executable"]
-        defaults = {item.name: item.default for item in fields(NODES[name])}
+        defaults = {key: field.default for key, field in NODES[name].model_fields.items()}
         for key, value in parameters.items():
             if type(value).__name__ == "ParameterValue":  # a launch argument with its type
                 kind = type(defaults[key])

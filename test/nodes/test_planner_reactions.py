@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import pytest
 
-from humanpred_ros.nodes.settings import StompPlannerSettings
 from humanpred_ros.robot.scene import load_scene
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
 from planner_client import NS, Answer, PlannerClient, least_gap_m, nobody, somebody, voxels_near
 
 from humanpred_ros.nodes import conversions
+from humanpred_ros.nodes.stomp_planner import StompPlannerSettings
 
 SCENE = load_scene("face_to_face")
 PERIOD_S, SEPARATION_M = 0.2, 0.05

@@ -1,0 +1,111 @@
+"""The files that are made from settings: config/nodes.yaml and docs/settings.md.
+
+`python test/reference.py` writes them again; test/nodes/test_settings.py fails where they differ from the code.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import pkgutil
+import textwrap
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from humanpred_ros import nodes
+from humanpred_ros.cli import COMMANDS, flag, shown
+from humanpred_ros.settings import Settings, facts_of
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+YAML, MARKDOWN = REPOSITORY / "config" / "nodes.yaml", REPOSITORY / "docs" / "settings.md"
+
+
+def node_settings() -> dict[str, type[Settings]]:
+    """Return the settings class of every node, by the name of its executable."""
+    found = {}
+    for info in pkgutil.iter_modules(nodes.__path__):
+        module = importlib.import_module(f"{nodes.__name__}.{info.name}")
+        if hasattr(module, "main"):
+            own = [kind for kind in vars(module).values() if getattr(kind, "__module__", "") == module.__name__]
+            (found[info.name],) = [kind for kind in own if isinstance(kind, type) and issubclass(kind, Settings)]
+    return found
+
+
+def command_settings() -> dict[str, type[Settings]]:
+    """Return the settings class of every command of `humanpred`, by its words."""
+    found = {}
+    for words, (where, _) in COMMANDS.items():
+        module, function = where.split(":")
+        hints = get_type_hints(getattr(importlib.import_module(f"humanpred_ros.{module}"), function))
+        found[words] = next(iter(hints.values()))
+    return found
+
+
+def range_of(field: Any) -> str:
+    """Return the range of a field in words, empty if it has none."""
+    low, high = (
+        value if value is None else f"{value:.10g}" for value in (facts_of(field)["low"], facts_of(field)["high"])
+    )
+    if low is None or high is None:
+        return f"from {low}" if low else f"to {high}" if high else ""
+    return f"{low} to {high}"
+
+
+def nodes_yaml() -> str:
+    """Return a parameter file with every parameter of every node, its default and what it is."""
+    lines = [
+        "# Every parameter of every node with its default, made from the code by: python test/reference.py",
+        "# Use: ros2 run humanpred_ros stomp_planner --ros-args --params-file nodes.yaml",
+    ]
+    for name, settings_type in node_settings().items():
+        lines += ["", f"{name}:", "  ros__parameters:"]
+        for key, field in settings_type.model_fields.items():
+            text = str(field.description)
+            if range_of(field):
+                text += f"; {range_of(field)}"
+            if facts_of(field)["changeable"]:
+                text += "; may be changed while the node runs"
+            lines += textwrap.wrap(text, 112, initial_indent="    # ", subsequent_indent="    # ")
+            lines.append(f"    {key}: {json.dumps(field.default)}")
+    return "\n".join(lines) + "\n"
+
+
+def table(rows: list[tuple[str, ...]]) -> list[str]:
+    """Return rows as a Markdown table, the first as its head."""
+    lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
+    return [lines[0], "|" + "---|" * len(rows[0]), *lines[1:], ""]
+
+
+def settings_markdown() -> str:
+    """Return the reference of all parameters and flags."""
+    lines = [
+        "# Settings",
+        "",
+        "Every parameter of the nodes and every flag of `humanpred`, made from the code by `python test/reference.py`.",
+        "",
+        "## Nodes",
+        "",
+        "Parameters are given as `--ros-args -p NAME:=VALUE`, or in a file like [nodes.yaml](../config/nodes.yaml).",
+        "Those marked with * may be changed while the node runs.",
+        "",
+    ]
+    for name, settings_type in node_settings().items():
+        rows: list[tuple[str, ...]] = [("parameter", "default", "range", "what it is")]
+        for key, field in settings_type.model_fields.items():
+            mark = " *" if facts_of(field)["changeable"] else ""
+            rows.append((f"`{key}`{mark}", f"`{json.dumps(field.default)}`", range_of(field), str(field.description)))
+        lines += [f"### `{name}`", "", *table(rows)]
+    lines += ["## Commands", ""]
+    for words, settings_type in command_settings().items():
+        rows = [("flag", "default", "range", "what it is")]
+        for key, field in settings_type.model_fields.items():
+            default = "" if field.is_required() else f"`{shown(field.default)}`"
+            rows.append((f"`{flag(settings_type, key)}`", default, range_of(field), str(field.description)))
+        lines += [f"### `humanpred {words}`", "", COMMANDS[words][1][:1].upper() + COMMANDS[words][1][1:] + ".", ""]
+        lines += table(rows)
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+if __name__ == "__main__":
+    YAML.write_text(nodes_yaml(), encoding="utf-8")
+    MARKDOWN.write_text(settings_markdown(), encoding="utf-8")
