@@ -175,7 +175,7 @@ class OccupancyPredictorNode(GraphNode):
         if knowledge.left_out:
             self.get_logger().warning(f"mistracked, not learned from: {', '.join(knowledge.left_out)}")
         self.own_goals = (
-            goals_of_scene({goal.label: goal.place_m for goal in scene.reach_goals}, scene.T_world_human)
+            goals_of_scene({place.label: place.place_m for place in scene.places}, scene.T_world_human)
             or knowledge.places
         )
         goals = told or self.own_goals

@@ -39,9 +39,9 @@ from humanpred_ros.planning.validity.goal_check import outside_limits, usable_co
 from humanpred_ros.planning.validity.motion_check import SelfClearance
 from humanpred_ros.planning.warm_up import warm_up
 from humanpred_ros.robot.arm import Arm
-from humanpred_ros.robot.goal import Goal
+from humanpred_ros.robot.contacts import SelfCollision
+from humanpred_ros.robot.goals import Goal
 from humanpred_ros.robot.scene import Scene
-from humanpred_ros.robot.self_collision import SelfCollision
 from humanpred_ros.stomp.costs import Float32Array
 
 __all__ = ["MultiGoalReplanner", "ReplannerConfig"]

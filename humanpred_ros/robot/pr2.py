@@ -34,13 +34,13 @@ LEFT_ARM_JOINTS = tuple(f"l_{name}" for name in _ARM_JOINTS)
 TOOL_FRAME = "r_gripper_tool_frame"
 
 LEFT_ARM_RAD = tuple(float(np.deg2rad(deg)) for deg in (-4.966, 79.626, 83.104, -54.144, 82.692, -62.511, 179.154))
-"""Where the left arm is in the authors' scenes (facts section 5)."""
+"""Where the left arm is in the authors' scenes (docs/papers.md, P1 scenes)."""
 
 TORSO_LIFT_M = 0.31
-"""Height of the torso in the authors' scenes (facts section 4)."""
+"""Height of the torso in the authors' scenes (docs/papers.md, P1 costs)."""
 
 DISTANCE_WEIGHT_M = (0.54, 0.19, 0.49, 0.14, 0.37, 0.06, 0.14)
-"""Move3D's weight of each joint, the reach of what it moves (facts section 4: estimated)."""
+"""Move3D's weight of each joint, the reach of what it moves (docs/papers.md, P1 costs: estimated)."""
 
 BODY_POINT_SPACING_M = 0.04
 """Between 3 and 5 cm: fine against a forearm's width, coarse enough for some 180 points."""
@@ -112,7 +112,7 @@ class Pr2Arm:
         """Sample the surface of upper arm, elbow, forearm, wrist and gripper, in joint order.
 
         These are what the human occupancy is summed over; the shoulder is left out as in the
-        authors' planner (facts section 4). The gripper is closed.
+        authors' planner (docs/papers.md, P1 costs). The gripper is closed.
 
         Args:
             spacing_m: least distance between two points of a link, and the largest gap between them.
@@ -176,7 +176,7 @@ class Pr2Arm:
     def configuration_distance(self, a: ArrayLike, b: ArrayLike) -> FloatArray:
         """Return Move3D's distance (...) between configurations (..., J), the unit of P1's path parameter.
 
-        The root of the summed squares of each joint's change times `DISTANCE_WEIGHT_M` (facts section 4).
+        The root of the summed squares of each joint's change times `DISTANCE_WEIGHT_M` (docs/papers.md, P1 costs).
         """
         distance: FloatArray = np.linalg.norm(self.difference(a, b) * np.array(DISTANCE_WEIGHT_M), axis=-1)
         return distance

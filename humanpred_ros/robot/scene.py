@@ -5,28 +5,49 @@ A scene that loads can be planned in: every configuration lies within the joint 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
 from humanpred_ros.errors import ArrayError, GoalUnreachableError, SceneError
+from humanpred_ros.geometry.chain import axis_rotation
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.geometry.distance_field import DEFAULT_RESOLUTION_M, SignedDistanceField, build_distance_field
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.geometry.shapes import Box, Cylinder, Obstacle, planar_pose
 from humanpred_ros.resources import share_file
-from humanpred_ros.robot.contact import nearest_contacts, shoulder_approach
-from humanpred_ros.robot.goal import Goal as Goal  # part of a scene, so importable from here
-from humanpred_ros.robot.goal_file import GOAL_KEYS, parse_goals
-from humanpred_ros.robot.pr2 import LEFT_ARM_JOINTS, RIGHT_ARM_JOINTS, Pr2Arm
-from humanpred_ros.robot.reach_goal import REACH_GOAL_KEYS, ReachGoal, parse_reach_goals
-from humanpred_ros.robot.scene_file import Section, read_yaml
+from humanpred_ros.robot.contacts import nearest_contacts, shoulder_approach
+from humanpred_ros.robot.goals import Goal, tool_goal
+from humanpred_ros.robot.pr2 import Pr2Arm
+from humanpred_ros.robot.scene_file import GoalSection, SceneFile, TableSection, read_scene_file
 
 #: Distances beyond this need not be told apart: links are skipped, and movements proven free, well below it, m.
 _FIELD_CAP_M = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A place the person may reach for, whether or not anybody was ever seen to reach there.
+
+    Attributes:
+        label: number by which messages call it; where a library has a class of reaches to it, that class's.
+        place_m: (3,) where the palm ends, world frame.
+
+    Raises:
+        SceneError: for a label that is no whole number, or a place that is not three finite numbers.
+    """
+
+    label: int
+    place_m: FloatArray
+
+    def __post_init__(self) -> None:
+        if isinstance(self.label, bool) or not isinstance(self.label, int):
+            raise SceneError(f"place: wanted a whole number as label, got {self.label!r:.60}")
+        place = checked(f"place {self.label}: place_m", self.place_m, (3,), error=SceneError)
+        object.__setattr__(self, "place_m", frozen(place))
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +56,7 @@ class Scene:
 
     Attributes:
         name: how reports call it.
-        T_world_base: (4, 4) pose of the robot's base_footprint.
-        torso_lift_m: height of the torso.
-        left_arm_rad: (7,) configuration of the resting left arm.
+        arm: the robot's right arm, placed.
         start: (7,) configuration of the right arm at the beginning.
         goals: at least one, with different names; continuous joints are unwrapped so that
             `goal.configurations - start` is the shorter way.
@@ -45,7 +64,7 @@ class Scene:
         objects: what stands on it.
         T_world_human: (4, 4) pose of the tracker's frame, in which postures are given.
         grid: the voxels in which human occupancy is predicted.
-        reach_goals: places the person may reach for, with different labels; none: the predictor asks its library.
+        places: where the person may reach, with different labels; without any the predictor asks its library.
 
     Raises:
         SceneError: for no goals, or names or labels used twice.
@@ -53,27 +72,24 @@ class Scene:
     """
 
     name: str
-    T_world_base: FloatArray
-    torso_lift_m: float
-    left_arm_rad: FloatArray
+    arm: Pr2Arm
     start: FloatArray
     goals: tuple[Goal, ...]
     table: Obstacle
     objects: tuple[Obstacle, ...]
     T_world_human: FloatArray
     grid: VoxelGrid
-    reach_goals: tuple[ReachGoal, ...] = ()
+    places: tuple[Place, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, shape in (("T_world_base", (4, 4)), ("T_world_human", (4, 4)), ("left_arm_rad", (7,))):
-            array = checked(f"scene {self.name}: {name}", getattr(self, name), shape, error=SceneError)
-            object.__setattr__(self, name, frozen(array))
+        T = checked(f"scene {self.name}: T_world_human", self.T_world_human, (4, 4), error=SceneError)
+        object.__setattr__(self, "T_world_human", frozen(T))
         if not self.goals:
             raise SceneError(f"scene {self.name}: wanted at least one goal, got none; add one under goals")
         for what, names in (
             ("goal names", [goal.name for goal in self.goals]),
             ("object names", [obstacle.name for obstacle in self.obstacles]),
-            ("reach goal labels", [str(goal.label) for goal in self.reach_goals]),
+            ("labels of places", [str(place.label) for place in self.places]),
         ):
             twice = sorted({name for name in names if names.count(name) > 1})
             if twice:
@@ -86,10 +102,10 @@ class Scene:
             unwrapped.append(replace(goal, configurations=start + self.arm.difference(start, np.array(within))))
         object.__setattr__(self, "goals", tuple(unwrapped))
 
-    @cached_property
-    def arm(self) -> Pr2Arm:
-        """The robot's right arm, placed."""
-        return Pr2Arm(self.T_world_base, self.torso_lift_m, self.left_arm_rad)
+    @property
+    def T_world_base(self) -> FloatArray:  # noqa: N802
+        """(4, 4) pose of the robot's base."""
+        return self.arm.T_world_base
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
@@ -152,11 +168,13 @@ def scene_names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in share_file("config", "scenes").glob("*.yaml")))
 
 
-def load_scene(name_or_path: str | Path) -> Scene:
+def load_scene(name_or_path: str | Path, *, check: bool = True) -> Scene:
     """Read and check a scene.
 
     Args:
         name_or_path: the name of a scene of the package (`face_to_face`), or the path of a YAML file.
+        check: check that the arm touches nothing at the start and at the goals (about a second; reports of runs and
+            nodes that do not plan need not).
 
     Raises:
         SceneError: for a file that cannot be read, unknown or missing keys, impossible values.
@@ -172,66 +190,68 @@ def load_scene(name_or_path: str | Path) -> Scene:
             )
         path = share_file("config", "scenes", f"{name_or_path}.yaml")
     try:
-        scene = _parse(
-            Section(
-                read_yaml(path),
-                f"scene {path.stem}",
-                ("name", "robot", "start_angle", "goals", "table", "objects", "human", "grid", "reach_goals"),
-            )
-        )
+        scene = _scene(read_scene_file(path))
     except ArrayError as trouble:
         raise SceneError(f"scene {path.stem}: {trouble}") from trouble
-    scene.check_free()
+    if check:
+        scene.check_free()
     return scene
 
 
-def _parse(top: Section) -> Scene:
-    robot = top.section("robot", ("base_xy_m", "yaw_angle", "torso_lift_m", "left_arm_angle"))
-    human = top.section("human", ("offset_m", "yaw_angle"))
-    grid = top.section("grid", ("origin_m", "resolution_m", "shape"))
-    base, offset = robot.numbers("base_xy_m", 2), human.numbers("offset_m", 3)
+def _scene(file: SceneFile) -> Scene:
     arm = Pr2Arm(
-        planar_pose(base[0], base[1], 0.0, robot.angle("yaw")),
-        robot.number("torso_lift_m"),
-        robot.angles("left_arm", len(LEFT_ARM_JOINTS)),
+        planar_pose(*file.robot.base_xy_m, 0.0, float(file.robot.angle("yaw"))),
+        file.robot.torso_lift_m,
+        file.robot.angle("left_arm"),
     )
-    name = top.text("name")
-    start = arm.check_configuration(top.angles("start", len(RIGHT_ARM_JOINTS)), f"start of scene {name}")
-    table = Obstacle("table", _table(top.section("table", ("top_centre_m", "size_m", "yaw_angle"))))
-    objects = tuple(_object(entry) for entry in top.sections("objects", ("name", "base_m", "radius_m", "height_m")))
+    start = arm.check_configuration(file.angle("start"), f"start of scene {file.name}")
+    table = Obstacle("table", _table(file.table))
+    objects = tuple(
+        Obstacle(
+            entry.name,
+            Cylinder(
+                planar_pose(entry.base_m[0], entry.base_m[1], entry.base_m[2] + entry.height_m / 2.0),
+                entry.radius_m,
+                entry.height_m,
+            ),
+        )
+        for entry in file.objects
+    )
     return Scene(
-        name=name,
-        T_world_base=arm.T_world_base,
-        torso_lift_m=arm.torso_lift_m,
-        left_arm_rad=arm.left_arm_rad,
+        name=file.name,
+        arm=arm,
         start=start,
-        goals=parse_goals(top.sections("goals", GOAL_KEYS), arm, start, (table, *objects)),
+        goals=tuple(_goal(entry, arm, start, (table, *objects)) for entry in file.goals),
         table=table,
         objects=objects,
-        T_world_human=planar_pose(offset[0], offset[1], offset[2], human.angle("yaw")),
-        grid=VoxelGrid(
-            tuple(grid.numbers("origin_m", 3)),
-            grid.number("resolution_m"),
-            _counts(grid.numbers("shape", 3)),
-        ),
-        reach_goals=parse_reach_goals(top.sections("reach_goals", REACH_GOAL_KEYS) if "reach_goals" in top else ()),
+        T_world_human=planar_pose(*file.human.offset_m, float(file.human.angle("yaw"))),
+        grid=VoxelGrid(file.grid.origin_m, file.grid.resolution_m, file.grid.shape),
+        places=tuple(Place(entry.label, np.array(entry.place_m)) for entry in file.places),
     )
 
 
-def _table(section: Section) -> Box:
-    top, size = section.numbers("top_centre_m", 3), section.numbers("size_m", 3)
-    yaw = section.angle("yaw") if "yaw_angle" in section else 0.0
-    return Box(planar_pose(top[0], top[1], top[2] - size[2] / 2.0, yaw), size)
+def _table(section: TableSection) -> Box:
+    top, size = section.top_centre_m, section.size_m
+    pose = planar_pose(top[0], top[1], top[2] - size[2] / 2.0, float(section.angle("yaw")))
+    return Box(pose, np.array(size))
 
 
-def _object(section: Section) -> Obstacle:
-    base, height = section.numbers("base_m", 3), section.number("height_m")
-    pose = planar_pose(base[0], base[1], base[2] + height / 2.0)
-    return Obstacle(section.text("name"), Cylinder(pose, section.number("radius_m"), height))
-
-
-def _counts(numbers: FloatArray) -> tuple[int, int, int]:
-    if (numbers != np.round(numbers)).any():
-        raise SceneError(f"grid shape: wanted whole numbers of voxels, got {numbers}")
-    x, y, z = (int(number) for number in numbers)
-    return x, y, z
+def _goal(section: GoalSection, arm: Pr2Arm, start: FloatArray, obstacles: Sequence[Obstacle]) -> Goal:
+    tool = section.tool_pose
+    if tool is None:
+        return Goal(section.name, section.angle("configuration"), section.task_cost)
+    T_world_tool = np.eye(4)
+    # Roll, pitch and yaw about the world's x, y and z, one after the other, as in a URDF.
+    for axis, angle in zip(np.eye(3), tool.angle("orientation"), strict=True):
+        T_world_tool[:3, :3] = axis_rotation(axis, angle) @ T_world_tool[:3, :3]
+    T_world_tool[:3, 3] = tool.position_m
+    return tool_goal(
+        arm,
+        section.name,
+        T_world_tool,
+        start,
+        position_tolerance_m=tool.position_tolerance_m,
+        orientation_tolerance_rad=tool.angle("orientation_tolerance"),
+        task_cost=section.task_cost,
+        obstacles=obstacles,
+    )

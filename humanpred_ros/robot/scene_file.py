@@ -1,129 +1,213 @@
-"""Typed reading of a scene's YAML, so that every slip in a file is named with its place and the way out."""
+"""What a scene file may hold: the types that read it, and from which its JSON schema is generated.
+
+An angle is given in radians under `<name>_rad` or in degrees under `<name>_deg`, never both.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import yaml
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    StrictInt,
+    ValidationError,
+    model_validator,
+)
 
 from humanpred_ros.errors import SceneError
-from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
+
+Triple = tuple[float, float, float]
+ArmAngles = Annotated[
+    tuple[float, ...], Field(min_length=len(RIGHT_ARM_JOINTS), max_length=len(RIGHT_ARM_JOINTS))
+]  # in joint order
+EachAxis = Annotated[
+    Triple, BeforeValidator(lambda value: (value,) * 3 if isinstance(value, int | float) else value, Triple | float)
+]
 
 
-class Section:
-    """One mapping of a scene file with a fixed set of keys.
+def _name(text: str) -> str:
+    if not text.strip():
+        raise ValueError("wanted a name")
+    return text
 
-    Angles may be given in radians (`<name>_rad`) or degrees (`<name>_deg`), never both.
 
-    Args:
-        content: what YAML gave.
-        where: place in the file, for messages.
-        keys: the valid keys; an `<name>_angle` stands for both spellings of an angle.
+Name = Annotated[str, AfterValidator(_name)]
 
-    Raises:
-        SceneError: if `content` is not a mapping or has a key that is not valid.
-    """
 
-    def __init__(self, content: Any, where: str, keys: tuple[str, ...]) -> None:
-        self._where = where
-        valid = [spelling for key in keys for spelling in _spellings(key)]
+class Section(BaseModel):
+    """One mapping of a scene file; keys that it does not know are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    optional_angles: ClassVar[tuple[str, ...]] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys(cls, content: Any) -> Any:
+        valid = ", ".join(cls.model_fields)
         if not isinstance(content, dict):
-            raise SceneError(f"{where}: wanted a mapping with the keys {', '.join(valid)}, got {content!r:.60}")
-        unknown = [str(key) for key in content if key not in valid]
+            raise ValueError(f"wanted a mapping with the keys {valid}")
+        unknown = [str(key) for key in content if key not in cls.model_fields]
         if unknown:
-            raise SceneError(f"{where}: unknown key {', '.join(unknown)}; valid keys are {', '.join(valid)}")
-        self._content: dict[str, Any] = content
+            raise ValueError(f"unknown key {', '.join(unknown)}; valid keys are {valid}")
+        return content
 
-    @property
-    def where(self) -> str:
-        """The section's place in the file, for messages."""
-        return self._where
+    @model_validator(mode="after")
+    def _one_spelling(self) -> Section:
+        for key in type(self).model_fields:
+            name = key.removesuffix("_rad")
+            if name == key:
+                continue
+            given = [spelling for spelling in (key, f"{name}_deg") if getattr(self, spelling) is not None]
+            if len(given) > 1 or not (given or name in self.optional_angles):
+                raise ValueError(f"wanted either {name}_rad or {name}_deg, got {' and '.join(given) or 'neither'}")
+        return self
 
-    def __contains__(self, key: str) -> bool:
-        return any(spelling in self._content for spelling in _spellings(key))
+    def has_angle(self, name: str) -> bool:
+        """Return whether the file states an angle, in either unit."""
+        return getattr(self, f"{name}_rad") is not None or getattr(self, f"{name}_deg") is not None
 
-    def value(self, key: str) -> Any:
-        """Return what stands under a key that must be there."""
-        if key not in self._content:
-            raise SceneError(f"{self._where}: the key {key} is missing; add it")
-        return self._content[key]
+    def angle(self, name: str) -> FloatArray:
+        """Return an angle or several in rad, an array () or (N,), whatever the file's unit; 0 if it states none."""
+        degrees, radians = getattr(self, f"{name}_deg"), getattr(self, f"{name}_rad")
+        return np.asarray((radians or 0.0) if degrees is None else np.deg2rad(degrees), dtype=np.float64)
 
-    def text(self, key: str) -> str:
-        """Return a string that is not empty."""
-        text = self.value(key)
-        if not isinstance(text, str) or not text.strip():
-            raise SceneError(f"{self._where}: wanted a name under {key}, got {text!r:.60}")
-        return text
 
-    def number(self, key: str) -> float:
-        """Return one finite number."""
-        return float(checked(f"{self._where}: {key}", self.value(key), (), error=SceneError))
+class RobotSection(Section):
+    """Where the robot stands, and its joints that do not move."""
 
-    def numbers(self, key: str, count: int) -> FloatArray:
-        """Return `count` finite numbers."""
-        return checked(f"{self._where}: {key}", self.value(key), (count,), error=SceneError)
+    base_xy_m: tuple[float, float] = Field(description="Place of the robot's base on the floor, world frame (m)")
+    yaw_rad: float | None = Field(None, description="Turn of the base about the vertical (rad)")
+    yaw_deg: float | None = Field(None, description="The same in degrees")
+    torso_lift_m: float = Field(description="Height of the torso, 0 to 0.31 (m)")
+    left_arm_rad: ArmAngles | None = Field(None, description="Configuration of the resting left arm (rad)")
+    left_arm_deg: ArmAngles | None = Field(None, description="The same in degrees")
 
-    def each(self, key: str, count: int) -> FloatArray:
-        """Return `count` finite numbers, all the same where the file has only one."""
-        one = np.ndim(self.value(key)) == 0
-        return np.full(count, self.number(key)) if one else self.numbers(key, count)
 
-    def each_angle(self, name: str, count: int) -> FloatArray:
-        """Return `count` angles in rad from `<name>_rad` or `<name>_deg`, all the same where it has only one."""
-        one = np.ndim(self._content[self._angle_key(name)]) == 0
-        return np.full(count, self.angle(name)) if one else self.angles(name, count)
+class ToolPoseSection(Section):
+    """Where a task wants the tool, and how exactly."""
 
-    def angles(self, name: str, count: int) -> FloatArray:
-        """Return `count` angles in rad from `<name>_rad` or `<name>_deg`."""
-        return self._angle(name, (count,))
+    position_m: Triple = Field(description="Wanted place of the tool, world frame (m)")
+    orientation_rad: Triple | None = Field(None, description="Roll, pitch, yaw about the world's x, y, z axes (rad)")
+    orientation_deg: Triple | None = Field(None, description="The same in degrees")
+    position_tolerance_m: EachAxis = Field(description="Largest displacement along each axis of the wanted pose (m)")
+    orientation_tolerance_rad: EachAxis | None = Field(None, description="Largest turn about each axis (rad)")
+    orientation_tolerance_deg: EachAxis | None = Field(None, description="The same in degrees; 180: free")
 
-    def angle(self, name: str) -> float:
-        """Return one angle in rad from `<name>_rad` or `<name>_deg`."""
-        return float(self._angle(name, ()))
 
-    def section(self, key: str, keys: tuple[str, ...]) -> Section:
-        """Return the mapping under a key."""
-        return Section(self.value(key), f"{self._where}: {key}", keys)
+class GoalSection(Section):
+    """A task of the robot: a configuration of the arm or a pose of the tool."""
 
-    def sections(self, key: str, keys: tuple[str, ...]) -> list[Section]:
-        """Return the list of mappings under a key."""
-        entries = self.value(key)
-        if not isinstance(entries, list):
-            raise SceneError(f"{self._where}: wanted a list under {key}, got {entries!r:.60}")
-        return [Section(entry, f"{self._where}: {key}[{i}]", keys) for i, entry in enumerate(entries)]
+    optional_angles = ("configuration",)
+    name: Name = Field(description="What messages and reports call it")
+    configuration_rad: ArmAngles | None = Field(None, description="Configuration of the arm (rad)")
+    configuration_deg: ArmAngles | None = Field(None, description="The same in degrees")
+    tool_pose: ToolPoseSection | None = Field(None, description="Pose of the tool, instead of a configuration")
+    task_cost: float = Field(0.0, description="Cost of choosing this task beside disturbing the person")
 
-    def _angle(self, name: str, shape: tuple[int, ...]) -> FloatArray:
-        key = self._angle_key(name)
-        angles = checked(f"{self._where}: {key}", self._content[key], shape, error=SceneError)
-        return np.deg2rad(angles) if key.endswith("_deg") else angles
-
-    def _angle_key(self, name: str) -> str:
-        given = [spelling for spelling in _spellings(f"{name}_angle") if spelling in self._content]
-        if len(given) != 1:
-            raise SceneError(
-                f"{self._where}: wanted either {name}_rad or {name}_deg, got {' and '.join(given) or 'neither'}"
+    @model_validator(mode="after")
+    def _one_way(self) -> GoalSection:
+        if self.has_angle("configuration") == (self.tool_pose is not None):
+            got = "both" if self.tool_pose else "neither"
+            raise ValueError(
+                f"wanted either configuration_rad or configuration_deg or tool_pose, got {got}; state the task in one "
+                "way"
             )
-        return given[0]
+        return self
 
 
-def read_yaml(path: Path) -> Any:
-    """Return the content of a YAML file.
+class TableSection(Section):
+    """The table's top: a box."""
+
+    optional_angles = ("yaw",)
+    top_centre_m: Triple = Field(description="Middle of its upper face, world frame (m)")
+    size_m: Triple = Field(description="Lengths along its own axes (m)")
+    yaw_rad: float | None = Field(None, description="Turn about the vertical (rad)")
+    yaw_deg: float | None = Field(None, description="The same in degrees")
+
+
+class ObjectSection(Section):
+    """An upright cylinder."""
+
+    name: Name = Field(description="What messages call it")
+    base_m: Triple = Field(description="Middle of its lower face, world frame (m)")
+    radius_m: float
+    height_m: float
+
+
+class HumanSection(Section):
+    """Where the tracker's frame is, in which postures are given."""
+
+    offset_m: Triple = Field(description="Its origin, world frame (m)")
+    yaw_rad: float | None = Field(None, description="Its turn about the vertical (rad)")
+    yaw_deg: float | None = Field(None, description="The same in degrees")
+
+
+class GridSection(Section):
+    """The voxels of predicted occupancy."""
+
+    origin_m: Triple = Field(description="Lowest corner, world frame (m)")
+    resolution_m: float = Field(description="Edge of a voxel (m)")
+    shape: tuple[int, int, int] = Field(description="Numbers of voxels along x, y, z")
+
+
+class PlaceSection(Section):
+    """A place the person may reach for."""
+
+    label: StrictInt = Field(description="Whole number; where a library has a class of reaches to it, that class's")
+    place_m: Triple = Field(description="Where the palm ends, world frame (m)")
+
+
+class SceneFile(Section):
+    """A workplace: robot, tasks, table, objects, where the person is tracked; metres, world frame, z up."""
+
+    name: Name = Field(description="What reports call it")
+    robot: RobotSection
+    start_rad: ArmAngles | None = Field(None, description="Configuration of the arm at the beginning (rad)")
+    start_deg: ArmAngles | None = Field(None, description="The same in degrees")
+    goals: tuple[GoalSection, ...]
+    table: TableSection
+    objects: tuple[ObjectSection, ...]
+    human: HumanSection
+    grid: GridSection
+    places: tuple[PlaceSection, ...] = Field((), description="Places the person may reach for; none: the library's")
+
+
+def read_scene_file(path: Path) -> SceneFile:
+    """Return the content of a scene's YAML file.
 
     Raises:
-        SceneError: if it cannot be read or is not YAML.
+        SceneError: if it cannot be read, or for unknown, missing or impossible values, with their place in the file.
     """
     try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as trouble:
         raise SceneError(f"scene: wanted a readable file, got {path}: {trouble.strerror}") from trouble
     except (yaml.YAMLError, UnicodeDecodeError) as trouble:
         raise SceneError(f"scene: wanted YAML in {path}, got something else: {trouble}") from trouble
+    try:
+        return SceneFile.model_validate(content)
+    except ValidationError as trouble:
+        raise SceneError(f"scene {path.stem}{_reason(trouble)}") from None
 
 
-def _spellings(key: str) -> tuple[str, ...]:
-    if key.endswith("_angle"):
-        stem = key.removesuffix("_angle")
-        return f"{stem}_rad", f"{stem}_deg"
-    return (key,)
+def _reason(trouble: ValidationError) -> str:
+    """Return the place and kind of the first thing that is wrong with a file."""
+    first = trouble.errors()[0]
+    place, missing = list(first["loc"]), first["type"] == "missing"
+    last = place.pop() if missing else ""
+    where = "".join(f"[{part}]" if isinstance(part, int) else f": {part}" for part in place)
+    if isinstance(last, int):
+        return f"{where}: wanted at least {last + 1} numbers, got {first['input']!r:.80}; correct it"
+    if missing:
+        return f"{where}: the key {last} is missing; add it"
+    said = str(first.get("ctx", {}).get("error", "")) or first["msg"][:1].lower() + first["msg"][1:]
+    return f"{where}: {said}, got {first['input']!r:.80}; correct it"

@@ -11,7 +11,7 @@ from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.planning.evasion import ways_aside
 from humanpred_ros.planning.replanner import MultiGoalReplanner
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.robot.goal import Goal
+from humanpred_ros.robot.goals import Goal
 
 ARM = planar_arm()
 HERE = np.array([0.2, 0.3, 0.3])

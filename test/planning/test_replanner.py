@@ -14,7 +14,7 @@ from humanpred_ros.planning.decision import Decision
 from humanpred_ros.planning.replanner import MultiGoalReplanner
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.planning.timing.trajectory import LIMIT_TOLERANCE
-from humanpred_ros.robot.scene import Goal
+from humanpred_ros.robot.goals import Goal
 from humanpred_ros.stomp.config import StompConfig
 from humanpred_ros.stomp.planner import TURN
 

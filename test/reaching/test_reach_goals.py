@@ -7,14 +7,13 @@ import pytest
 
 from humanpred_ros.errors import UsageError
 from humanpred_ros.reaching.reach_goals import goals_from_text, goals_of_scene
-from humanpred_ros.robot.reach_goal import ReachGoal
-from humanpred_ros.robot.scene import load_scene
+from humanpred_ros.robot.scene import Place, load_scene
 
 SCENE = load_scene("four_places")
 
 
 def test_places_are_brought_into_the_trackers_frame() -> None:
-    told = [ReachGoal(3, np.array([-0.22, -0.67, 0.8])), ReachGoal(12, np.array([0.0, 0.5, 1.0]))]
+    told = [Place(3, np.array([-0.22, -0.67, 0.8])), Place(12, np.array([0.0, 0.5, 1.0]))]
     by_text = goals_from_text(["3 -0.22 -0.67 0.80", "  12   0 .5 1e0 "], SCENE.T_world_human)
     by_scene = goals_of_scene({goal.label: goal.place_m for goal in told}, SCENE.T_world_human)
     for goals in (by_text, by_scene):

@@ -1,18 +1,23 @@
-"""Clearances by spheres, against the meshes' own distances and the published ones."""
+"""Clearances by spheres against the meshes' own distances and the published ones; distances between arm and person."""
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
-import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from arm_clearance import arm_clearance, nearest_approach
+from collision_library import Transform, coal
+from small_library import REST
 
-from humanpred_ros.errors import ArrayError
+from humanpred_ros.errors import ArrayError, HumanModelError
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
 from humanpred_ros.geometry.urdf import find_pr2_urdf
-from humanpred_ros.robot.clearance import arm_clearance, nearest_approach
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.robot.clearance import SeparationMeter
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
 from humanpred_ros.robot.scene import Scene, load_scene
 
@@ -26,7 +31,7 @@ def mesh_clearance_m(scene: Scene, shape: Any, q: np.ndarray, first_joint: int) 
     folders = [str(parent) for parent in find_pr2_urdf().parents]
     geometry = pin.buildGeomFromUrdf(model, str(find_pr2_urdf()), pin.GeometryType.COLLISION, package_dirs=folders)
     data, full = model.createData(), pin.neutral(model)
-    for name, value in zip(("torso_lift_joint", *RIGHT_ARM_JOINTS), (scene.torso_lift_m, *q), strict=True):
+    for name, value in zip(("torso_lift_joint", *RIGHT_ARM_JOINTS), (scene.arm.torso_lift_m, *q), strict=True):
         joint = model.joints[model.getJointId(name)]
         full[joint.idx_q : joint.idx_q + joint.nq] = value if joint.nq == 1 else (np.cos(value), np.sin(value))
     pin.forwardKinematics(model, data, full)
@@ -34,14 +39,14 @@ def mesh_clearance_m(scene: Scene, shape: Any, q: np.ndarray, first_joint: int) 
         other = coal.Box(*shape.size_m)
     else:
         other = coal.Cylinder(shape.radius_m, shape.height_m)
-    T_other = coal.Transform3s(shape.T_world_shape[:3, :3].copy(), shape.T_world_shape[:3, 3].copy())
+    T_other = Transform(shape.T_world_shape[:3, :3].copy(), shape.T_world_shape[:3, 3].copy())
     outer = {model.getJointId(name) for name in RIGHT_ARM_JOINTS[first_joint:]}
     least = np.inf
     for item in geometry.geometryObjects:
         if outer & set(model.supports[item.parentJoint]):
             T = scene.T_world_base @ (data.oMi[item.parentJoint] * item.placement).homogeneous
             request, result = coal.DistanceRequest(), coal.DistanceResult()
-            pose = coal.Transform3s(T[:3, :3].copy(), T[:3, 3].copy())
+            pose = Transform(T[:3, :3].copy(), T[:3, 3].copy())
             least = min(least, coal.distance(item.geometry, pose, other, T_other, request, result))
     return least
 
@@ -52,7 +57,7 @@ def mesh_clearance_m(scene: Scene, shape: Any, q: np.ndarray, first_joint: int) 
 )
 def test_meshes_clear_the_table_by_the_published_distance(scene: Scene, which: str, table_m: float) -> None:
     q = scene.start if which == "start" else scene.goal(which).configuration
-    # 0.0005 m is the rounding of the published figures (facts section 5).
+    # 0.0005 m is the rounding of the published figures (docs/papers.md, P1 scenes).
     assert mesh_clearance_m(scene, scene.table.shape, q, first_joint=0) == pytest.approx(table_m, abs=5.5e-4)
 
 
@@ -99,3 +104,63 @@ def test_trajectories_of_another_shape_are_refused() -> None:
     for q in (np.zeros(7), np.zeros((3, 6)), np.full((3, 7), np.nan)):
         with pytest.raises(ArrayError, match="trajectory"):
             arm_clearance(SIDE.arm, SIDE.arm.spheres(), field, q)
+
+
+HUMAN = HumanModel.kinect12()
+
+
+@cache
+def scene() -> Scene:
+    return load_scene("side_by_side")
+
+
+def moments(count: int, seed: int = 0) -> tuple[FloatArray, FloatArray]:
+    """Postures (T, 12) of people around the tool, and configurations (T, 7) around the start."""
+    rng = np.random.default_rng(seed)
+    postures = np.repeat(REST[None], count, axis=0)
+    tool = scene().arm.chain.tool_pose(scene().start)[:2, 3]
+    postures[:, :2] = tool - scene().T_world_human[:2, 3] + rng.uniform(-0.9, 0.9, (count, 2))
+    postures[:, 3] = rng.uniform(-3.0, 3.0, count)
+    return postures, scene().start + rng.uniform(-0.4, 0.4, (count, 7))
+
+
+def meter(postures: FloatArray) -> SeparationMeter:
+    return SeparationMeter(scene().arm, HUMAN, scene().T_world_human, postures)
+
+
+def test_is_the_models_distance() -> None:
+    postures, q = moments(12)
+    found = meter(postures).measure(q)
+    spheres, T = scene().arm.spheres(), scene().T_world_human
+    for k in range(len(q)):
+        local = (spheres.world_m(scene().arm.chain, q[k]) - T[:3, 3]) @ T[:3, :3]
+        assert found.distance_m[k] == pytest.approx(HUMAN.least_distance_m(postures[k], local, spheres.radius_m))
+    assert found.least_m == found.distance_m.min()
+    assert found.distance_m.min() < 0.0 < found.distance_m.max()
+
+
+def test_names_the_parts_that_are_closest() -> None:
+    postures, q = moments(6, seed=1)
+    found = meter(postures).measure(q)
+    spheres, T = scene().arm.spheres(), scene().T_world_human
+    poses = HUMAN.body_poses(postures)
+    for k in range(len(q)):
+        centre = spheres.world_m(scene().arm.chain, q[k])[found.part[k]]
+        pose = T @ poses[k, found.body[k]]
+        local = (centre - pose[:3, 3]) @ pose[:3, :3]
+        alone = HUMAN.bodies[int(found.body[k])].shape.distance_m(local[None])[0] - spheres.radius_m[found.part[k]]
+        assert alone == pytest.approx(found.distance_m[k])
+
+
+def test_spheres_are_never_farther_than_the_surface() -> None:
+    postures, q = moments(30, seed=2)
+    spheres, surface = meter(postures).measure(q), meter(postures).measure_surface(q)
+    assert (spheres.distance_m <= surface.distance_m + 1e-9).all()
+
+
+def test_wrong_shapes_are_refused() -> None:
+    postures, q = moments(4)
+    with pytest.raises(ArrayError, match="arm configurations"):
+        meter(postures).measure(q[:3])
+    with pytest.raises(HumanModelError):
+        meter(postures[:, :5])

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from humanpred_ros.robot.goal import Goal
+from humanpred_ros.robot.goals import Goal
 from humanpred_ros.robot.scene import Scene
 from humanpred_ros.viewing.figures import goal_colours, report_style
 from humanpred_ros.viewing.key_figures import key_figures, print_summary

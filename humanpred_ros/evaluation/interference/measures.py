@@ -15,8 +15,8 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.planning.decision import EVADE, HOLD, REPLAN, Decision
 from humanpred_ros.planning.timing.path import path_integral, path_parameter
+from humanpred_ros.robot.clearance import Separation, SeparationMeter
 from humanpred_ros.robot.scene import Scene
-from humanpred_ros.robot.separation import Separation, SeparationMeter
 from humanpred_ros.stomp.costs import HumanOccupancyCost, as_batch
 
 #: What a unit of configuration distance costs beside the human (facts section 4, `cs_integral`).

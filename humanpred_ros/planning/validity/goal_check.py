@@ -8,7 +8,7 @@ from humanpred_ros.errors import GoalUnreachableError, PlanningError
 from humanpred_ros.geometry.chain import KinematicChain
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.planning.validity.motion_check import MotionChecker
-from humanpred_ros.robot.goal import Goal
+from humanpred_ros.robot.goals import Goal
 
 #: Limits are written with about ten digits, configurations with six, rad.
 _LIMIT_TOLERANCE_RAD = 1e-6

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from arm_clearance import arm_clearance
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -16,7 +17,6 @@ from humanpred_ros.planning.timing.parameterisation import time_parameterise
 from humanpred_ros.planning.timing.path import straight
 from humanpred_ros.planning.timing.trajectory import TimedTrajectory, at_rest
 from humanpred_ros.planning.validity.motion_check import MotionChecker, lever_arms_m
-from humanpred_ros.robot.clearance import arm_clearance
 from humanpred_ros.robot.scene import load_scene
 
 SEEDS = st.integers(0, 2**32 - 1)

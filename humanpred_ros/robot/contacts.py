@@ -1,12 +1,13 @@
-"""How far the arm is from itself: forearm and hand can be driven into turret, shoulder and upper arm.
+"""What the arm touches or nearly touches at one configuration: obstacles, its own robot, or itself.
 
-Within the joint limits about one configuration in twenty does so. Spheres cover the surface of what is
-outwards of the upper arm, boxes fill what is inwards of the elbow, so an overlap of the meshes is always one
-of a sphere and a box.
+Forearm and hand can be driven into turret, shoulder and upper arm: within the joint limits about one configuration in
+twenty does so. Spheres cover the surface of what is outwards of the upper arm, boxes fill what is inwards of the
+elbow, so where the meshes overlap, a sphere and a box overlap.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -17,7 +18,8 @@ from humanpred_ros.geometry.chain import BodyBoxes, BodySpheres, KinematicChain
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.compiled import exact
 from humanpred_ros.geometry.posture_kernels import link_poses
-from humanpred_ros.robot.clearance import Approach
+from humanpred_ros.geometry.shapes import Obstacle
+from humanpred_ros.robot.clearance import Approach, nearest_approaches
 from humanpred_ros.robot.pr2 import Pr2Arm
 
 _SAMPLES = 256
@@ -168,3 +170,50 @@ def _least_clearance(
                 distance = np.sqrt(outside) + min(deepest, 0.0) - radius[s]
                 if distance < least[t]:
                     least[t], nearest_sphere[t], nearest_box[t] = distance, s, k
+
+
+def nearest_contacts(arm: Pr2Arm, obstacles: Sequence[Obstacle], q: FloatArray) -> tuple[Approach, ...]:
+    """Return where the arm comes closest to anything, at each of the configurations `q` (N, 7).
+
+    The robot's own fixed bodies are among what is looked at, and the arm's own links: there the approach's
+    `obstacle` is the name of a link.
+
+    Args:
+        obstacles: what else there is, may be empty.
+
+    Raises:
+        ArrayError: for configurations of another shape or not finite.
+    """
+    q = checked("configurations", q, ("N", arm.chain.n_joints))
+    outside = nearest_approaches(arm, arm.spheres(), (*obstacles, *arm.fixed_obstacles), q)
+    itself = SelfCollision.for_arm(arm)
+    return tuple(
+        itself.nearest(one) if inside < approach.clearance_m else approach
+        for one, inside, approach in zip(q, itself.clearance(q), outside, strict=True)
+    )
+
+
+def shoulder_approach(arm: Pr2Arm, obstacles: Sequence[Obstacle]) -> Approach:
+    """Return where turret and shoulder come closest to obstacles, whatever the arm does.
+
+    Planners leave these two out (`Pr2Arm.spheres`); nothing may stand where they could get to.
+
+    Args:
+        obstacles: at least one.
+
+    Returns:
+        A clearance no larger than the true one: covers and the steps between the sampled angles take
+        up to 0.1 m of it.
+    """
+    chain, counts = arm.chain, (49, 25)
+    grids = [np.linspace(chain.lower[joint], chain.upper[joint], count) for joint, count in enumerate(counts)]
+    q = np.zeros((counts[0] * counts[1], chain.n_joints))
+    q[:, :2] = np.stack(np.meshgrid(*grids, indexing="ij"), axis=-1).reshape(-1, 2)
+    spheres = arm.shoulder_spheres()
+    nearest = min(nearest_approaches(arm, spheres, obstacles, q), key=lambda approach: approach.clearance_m)
+    # No point moves farther between a sampled angle and the middle of two than half the step times its arm.
+    half_steps = sum(float(grid[1] - grid[0]) / 2.0 for grid in grids)
+    lever = float(np.linalg.norm(chain.joint_origin_m[1])) + float(
+        (np.linalg.norm(spheres.centre_m, axis=1) + spheres.radius_m).max()
+    )
+    return Approach(nearest.link, nearest.obstacle, nearest.clearance_m - half_steps * lever)

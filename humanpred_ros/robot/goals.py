@@ -1,4 +1,4 @@
-"""Tasks stated as tool poses: inverse kinematics turns them into sets of configurations that touch nothing."""
+"""Tasks of the robot: sets of configurations, given directly or found by inverse kinematics for a tool pose."""
 
 from __future__ import annotations
 
@@ -9,13 +9,50 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from humanpred_ros.errors import GoalUnreachableError, SceneError, UsageError
-from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.geometry.shapes import Obstacle
-from humanpred_ros.robot.contact import nearest_contacts
-from humanpred_ros.robot.goal import Goal
-from humanpred_ros.robot.inverse_kinematics import InverseKinematicsConfig, solve_tool_pose, spread
+from humanpred_ros.robot.contacts import nearest_contacts
+from humanpred_ros.robot.inverse_kinematics import InverseKinematicsConfig, ToolPose, solve_tool_pose, spread
 from humanpred_ros.robot.pr2 import Pr2Arm
-from humanpred_ros.robot.tool_pose import ToolPose
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """A task of the robot: bring the arm to any one of `configurations`.
+
+    Attributes:
+        name: how scenes, messages and reports call it.
+        configurations: (K, J) rad, K >= 1, the preferred one first; one configuration (J,) becomes (1, J).
+        task_cost: what choosing this task costs beside disturbing the human, at least 0, in the unit of a
+            goal's selection cost (human cost integrated over configuration distance).
+
+    Raises:
+        SceneError: for no configurations, values that are not finite, or a cost that is negative.
+    """
+
+    name: str
+    configurations: FloatArray
+    task_cost: float = 0.0
+
+    def __post_init__(self) -> None:
+        what = f"goal {self.name!r}"
+        given = np.asarray(self.configurations, dtype=object)  # lists of different lengths are for `checked` to refuse
+        if given.ndim < 2:
+            given = given[None]
+        configurations = checked(f"{what}: configurations", given, ("K", "J"), error=SceneError)
+        if configurations.size == 0:
+            raise SceneError(f"{what}: wanted at least one configuration, got shape {configurations.shape}")
+        object.__setattr__(self, "configurations", frozen(configurations))
+        cost = float(checked(f"{what}: task_cost", self.task_cost, (), error=SceneError))
+        if cost < 0.0:
+            raise SceneError(f"{what}: wanted a task_cost of at least 0, got {cost}; raise the others' instead")
+        object.__setattr__(self, "task_cost", cost)
+
+    @property
+    def configuration(self) -> FloatArray:
+        """The preferred configuration (J,) rad."""
+        first: FloatArray = self.configurations[0]
+        return first
 
 
 @dataclass(frozen=True)
@@ -25,7 +62,7 @@ class ToolGoalConfig:
     Attributes:
         most: how many are kept at most; each one costs the planner a plan.
         separation: configuration distance between any two that are kept. The ways from the start to the goals
-            of P1 are 0.3 to 1.4 long (facts section 4).
+            of P1 are 0.3 to 1.4 long (docs/papers.md, P1 scenes).
         clearance_m: least distance to everything. A planner looks distances up on a lattice of 0.025 m and
             would take a goal for a collision that touches nothing by less than half a cell's diagonal.
         inverse_kinematics: how solutions are looked for.

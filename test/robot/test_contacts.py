@@ -1,23 +1,24 @@
-"""What the covers call free is free: compared with coal on the robot's own collision meshes."""
+"""What the covers call free is free: compared with coal on the robot's meshes; the verdict is the smaller of both."""
 
 from __future__ import annotations
 
 from functools import lru_cache
 from typing import Any
 
-import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from arm_clearance import nearest_approach
+from collision_library import Transform, coal
 
 from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.chain import BodyBoxes
-from humanpred_ros.geometry.shapes import planar_pose
+from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
 from humanpred_ros.geometry.urdf import find_pr2_urdf
 from humanpred_ros.robot.clearance import nearest_approaches
+from humanpred_ros.robot.contacts import SelfCollision, nearest_contacts, shoulder_approach
 from humanpred_ros.robot.pr2 import LEFT_ARM_JOINTS, LEFT_ARM_RAD, RIGHT_ARM_JOINTS, TORSO_LIFT_M, Pr2Arm
 from humanpred_ros.robot.scene import load_scene, scene_names
-from humanpred_ros.robot.self_collision import SelfCollision
 
 ARM = Pr2Arm(np.eye(4))
 ITSELF = SelfCollision.for_arm(ARM)
@@ -64,14 +65,14 @@ def placed_meshes(q: np.ndarray) -> Any:
 
 def touch(placed: Any, a: int, b: int) -> bool:
     _, geometry, _, _ = reference()
-    poses = [coal.Transform3s(placed.oMg[k].rotation, placed.oMg[k].translation) for k in (a, b)]
+    poses = [Transform(placed.oMg[k].rotation, placed.oMg[k].translation) for k in (a, b)]
     shapes = [geometry.geometryObjects[k].geometry for k in (a, b)]
     return coal.collide(shapes[0], poses[0], shapes[1], poses[1], coal.CollisionRequest(), coal.CollisionResult()) > 0
 
 
 def distance_m(placed: Any, a: int, b: int) -> float:
     _, geometry, _, _ = reference()
-    poses = [coal.Transform3s(placed.oMg[k].rotation, placed.oMg[k].translation) for k in (a, b)]
+    poses = [Transform(placed.oMg[k].rotation, placed.oMg[k].translation) for k in (a, b)]
     shapes = [geometry.geometryObjects[k].geometry for k in (a, b)]
     return coal.distance(shapes[0], poses[0], shapes[1], poses[1], coal.DistanceRequest(), coal.DistanceResult())
 
@@ -213,3 +214,55 @@ def test_inner_boxes_fill_the_meshes_of_turret_shoulder_and_upper_arm() -> None:
         assert beyond.min(axis=1).max() <= 1e-9, model.frames[geometry.geometryObjects[k].parentFrame].name
         checked.add(joint)
     assert checked == {PAN, LIFT, UPPER_ARM}
+
+
+SCENE = load_scene("face_to_face")
+SCENE_ARM = SCENE.arm
+LOWER = np.where(SCENE_ARM.chain.continuous, -np.pi, SCENE_ARM.chain.lower)
+UPPER = np.where(SCENE_ARM.chain.continuous, np.pi, SCENE_ARM.chain.upper)
+DRAWN = np.random.default_rng(4).uniform(LOWER, UPPER, (400, 7))
+
+
+def test_the_verdict_is_the_smaller_of_both() -> None:
+    contacts = nearest_contacts(SCENE_ARM, SCENE.obstacles, DRAWN)
+    inside = SelfCollision.for_arm(SCENE_ARM).clearance(DRAWN)
+    outside = nearest_approaches(SCENE_ARM, SCENE_ARM.spheres(), (*SCENE.obstacles, *SCENE_ARM.fixed_obstacles), DRAWN)
+    for contact, own, other in zip(contacts, inside, outside, strict=True):
+        assert contact.clearance_m == pytest.approx(min(float(own), other.clearance_m))
+    against_itself = [contact for contact in contacts if contact.obstacle in SCENE_ARM.link_names]
+    assert against_itself
+    assert len(against_itself) < len(contacts)
+
+
+def test_without_obstacles_the_robot_is_still_looked_at() -> None:
+    contact = nearest_contacts(SCENE_ARM, (), SCENE.start[None])[0]
+    assert contact.clearance_m > 0.0
+    assert contact.obstacle in {obstacle.name for obstacle in SCENE_ARM.fixed_obstacles} | set(SCENE_ARM.link_names)
+
+
+def test_many_at_once_are_what_each_is_alone() -> None:
+    together = nearest_approaches(SCENE_ARM, SCENE_ARM.spheres(), SCENE.obstacles, DRAWN[:20])
+    assert together == tuple(nearest_approach(SCENE_ARM, SCENE_ARM.spheres(), SCENE.obstacles, q) for q in DRAWN[:20])
+    assert nearest_approaches(SCENE_ARM, SCENE_ARM.spheres(), SCENE.obstacles, DRAWN[:0]) == ()
+    with pytest.raises(ArrayError, match="obstacle"):
+        nearest_approaches(SCENE_ARM, SCENE_ARM.spheres(), (), DRAWN[:1])
+    with pytest.raises(ArrayError, match="configurations"):
+        nearest_contacts(SCENE_ARM, SCENE.obstacles, SCENE.start)
+
+
+@pytest.mark.parametrize("gap_m", [0.0, 0.15, 0.4])
+def test_the_shoulders_reach_is_never_overstated_nor_understated_by_much(gap_m: float) -> None:
+    arm = Pr2Arm(np.eye(4))
+    pan = arm.chain.joint_origin_m[0] + arm.chain.T_world_root[:3, 3]
+    # The turret's mesh ends 0.229 m in front of the pan axis.
+    post = Obstacle("post", Box(planar_pose(pan[0] + 0.229 + gap_m + 0.05, pan[1], pan[2]), [0.1, 0.1, 1.5]))
+    nearest = shoulder_approach(arm, [post])
+    assert nearest.obstacle == "post"
+    assert nearest.link in arm.link_names[:2]
+    assert gap_m - 0.15 < nearest.clearance_m <= gap_m
+
+
+def test_the_arms_own_angles_do_not_matter_for_its_shoulder() -> None:
+    assert shoulder_approach(SCENE_ARM, SCENE.obstacles).obstacle == "table"
+    # Exact distance of the turret's mesh from the table, over all angles: 0.314 m.
+    assert 0.2 < shoulder_approach(SCENE_ARM, SCENE.obstacles).clearance_m < 0.314
