@@ -34,6 +34,18 @@ def share_directory() -> Path:
     )
 
 
+def cache_root() -> Path | None:
+    """Return where this package keeps what it can make again: below NUMBA_CACHE_DIR, XDG_CACHE_HOME or ~/.cache.
+
+    None for a user without a home.
+    """
+    wished = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
+    try:
+        return (Path(wished) if wished else Path.home() / ".cache") / PACKAGE_NAME
+    except RuntimeError:
+        return None
+
+
 def share_file(*parts: str) -> Path:
     """Return a file or folder below `share_directory()`; it must exist."""
     path = share_directory().joinpath(*parts)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.compiled import exact, fast, fast_inline
+from humanpred_ros.geometry.compiled import exact, exact_part, fast, fast_inline, fast_part
 
 BLOCK = 64
 #: Rows of the scratch array, each BLOCK long: rotation (9, row by row), position (3), sine, cosine, angle.
@@ -99,7 +99,7 @@ def _slide(w: NDArray[Any], a: int) -> None:
             w[(9 + row) * BLOCK + i] += w[(3 * row + a) * BLOCK + i] * w[_ANGLE + i]
 
 
-@fast
+@fast_part
 def _shift(w: NDArray[Any], x: Any, y: Any, z: Any) -> None:
     for row in range(3):
         for i in range(BLOCK):
@@ -108,7 +108,7 @@ def _shift(w: NDArray[Any], x: Any, y: Any, z: Any) -> None:
             )
 
 
-@fast
+@fast_part
 def _write(w: NDArray[Any], low: int, high: int, local: NDArray[Any], out: NDArray[Any], start: int, size: int) -> None:
     for k in range(low, high):
         x, y, z = local[k, 0], local[k, 1], local[k, 2]
@@ -119,7 +119,7 @@ def _write(w: NDArray[Any], low: int, high: int, local: NDArray[Any], out: NDArr
                 )
 
 
-@fast
+@fast_part
 def _sincos32(w: NDArray[Any]) -> None:
     for i in range(BLOCK):
         x = w[_ANGLE + i]
@@ -132,7 +132,7 @@ def _sincos32(w: NDArray[Any]) -> None:
         w[_COS + i] = flip * (_F1 + r2 * (_F2 + r2 * (_F4 + r2 * (_F6 + r2 * (_F8 + r2 * (_F10 + r2 * _F12))))))
 
 
-@fast
+@fast_part
 def _sincos64(w: NDArray[Any]) -> None:
     for i in range(BLOCK):
         w[_SIN + i] = np.sin(w[_ANGLE + i])
@@ -209,7 +209,7 @@ def pulled_back(
     return out
 
 
-@exact
+@exact_part
 def _axes(
     q: FloatArray,
     kind: NDArray[np.int64],

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.compiled import exact
+from humanpred_ros.geometry.compiled import exact, exact_part
 
 
 @exact
@@ -55,7 +55,7 @@ def link_poses(
     return out
 
 
-@exact
+@exact_part
 def _multiply(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
     for a in range(4):
         for b in range(4):

@@ -32,7 +32,7 @@ from humanpred_ros.geometry import capsules, description
 from humanpred_ros.geometry.capsules import Box, Capsule, EllipticCylinder, Shape, Sphere
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.description import Body, Description, MeshBody, Mimic
-from humanpred_ros.geometry.kernel_cache import cache_root
+from humanpred_ros.resources import cache_root
 
 _PR2_URDF = Path("share", "example-robot-data", "robots", "pr2_description", "urdf", "pr2.urdf")
 

@@ -10,9 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.compiled import exact
+from humanpred_ros.geometry.compiled import exact, exact_part
 from humanpred_ros.occupancy.body_parts import Float32Array
-from humanpred_ros.occupancy.point_kernels import BitArray, chain, holds_ball, spread_out, voxels, voxels_within
+from humanpred_ros.occupancy.point_kernels import (
+    BitArray,
+    chain,
+    holds_ball,
+    most_in_a_round,
+    spread_out,
+    voxels,
+    voxels_within,
+)
 from humanpred_ros.occupancy.recorded_futures import MOMENTS, Ways
 
 
@@ -36,10 +44,13 @@ def draw(
     share = np.zeros(n_classes)
     for m in range(len(weight)):
         share[label[m]] += weight[m]
-    if not share.max() > 0.0:
+    whole, most_probable = 0.0, 0.0
+    for c in range(n_classes):
+        whole += share[c]
+        most_probable = max(most_probable, share[c])
+    if not most_probable > 0.0:
         return np.empty(0, np.int64), np.empty(0)
-    whole = share.sum()
-    least = min(least_share * whole, share.max())
+    least = min(least_share * whole, most_probable)
     count = np.zeros(n_classes, np.int64)
     for _ in range(n_futures):
         # Largest share per future next; classes without a future come first.
@@ -53,7 +64,9 @@ def draw(
     for c in range(n_classes):
         total += share[c] if count[c] else 0.0
     chosen, probability = np.empty(n_futures, np.int64), np.empty(n_futures)
-    begin = np.cumsum(count) - count
+    begin = np.zeros(n_classes, np.int64)
+    for c in range(1, n_classes):
+        begin[c] = begin[c - 1] + count[c - 1]
     drawn = np.zeros(n_classes, np.int64)
     passed = np.zeros(n_classes)
     for m in range(len(weight)):
@@ -102,7 +115,7 @@ def follow(
     """
     x, y, z = points
     n_rounds = rounds.shape[1] - 1
-    index = np.empty((rounds[:, 1:] - rounds[:, :-1]).max(), np.uint32)
+    index = np.empty(most_in_a_round(rounds), np.uint32)
     turn, R, pose, M = np.empty(3), np.empty((3, 3)), np.empty((3, 4)), np.empty((3, 4))
     per_voxel = np.sqrt(T_grid_library[0, 0] ** 2 + T_grid_library[0, 1] ** 2 + T_grid_library[0, 2] ** 2)
     for i in range(len(chosen)):
@@ -187,7 +200,7 @@ def count(
     spread_out(share, busy, now, spread, out)
 
 
-@exact
+@exact_part
 def _turn_between(A: Float32Array, B: FloatArray, out: FloatArray) -> None:
     """Write the rotation vector (3,) that turns pose A (3, 4) into B; zero where they are nearly opposite."""
     C = np.empty((3, 3))
@@ -201,7 +214,7 @@ def _turn_between(A: Float32Array, B: FloatArray, out: FloatArray) -> None:
     out[0], out[1], out[2] = scale * (C[2, 1] - C[1, 2]), scale * (C[0, 2] - C[2, 0]), scale * (C[1, 0] - C[0, 1])
 
 
-@exact
+@exact_part
 def _rotation(turn: FloatArray, share: float, R: FloatArray) -> None:
     """Write the rotation (3, 3) by a share of a rotation vector (Rodrigues)."""
     x, y, z = share * turn[0], share * turn[1], share * turn[2]

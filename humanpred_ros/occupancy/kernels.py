@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.compiled import exact
+from humanpred_ros.geometry.compiled import exact, exact_part
 
 #: Points handled at a time: their coordinates and indices stay in the processor's first cache.
 _BLOCK = 512
@@ -101,7 +101,7 @@ def touched(
         count[t] = end - start
 
 
-@exact
+@exact_part
 def _affine(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
     """Write the upper three rows of the product of two (4, 4) transforms."""
     for a in range(3):
@@ -109,7 +109,7 @@ def _affine(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
             out[a, b] = A[a, 0] * B[0, b] + A[a, 1] * B[1, b] + A[a, 2] * B[2, b] + A[a, 3] * B[3, b]
 
 
-@exact
+@exact_part
 def _indices(
     M: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray, shape: tuple[int, int, int], out: NDArray[np.int32]
 ) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.compiled import exact
+from humanpred_ros.geometry.compiled import exact, exact_part
 from humanpred_ros.occupancy.body_parts import Float32Array
 
 BitArray = NDArray[np.uint32]
@@ -50,10 +50,21 @@ def spread_out(
     for i in range(1, n_x + 1):
         for j in range(1, n_y + 1):
             if busy[i, j]:
-                share[i, j] = 0.0
+                for k in range(n_z + 2):
+                    share[i, j, k] = 0.0
 
 
-@exact
+@exact_part
+def most_in_a_round(rounds: NDArray[np.int64]) -> int:
+    """Return how many points the largest round has, with rounds (P, R + 1) as `first` in `BodyParts`."""
+    most = 0
+    for p in range(rounds.shape[0]):
+        for r in range(rounds.shape[1] - 1):
+            most = max(most, rounds[p, r + 1] - rounds[p, r])
+    return most
+
+
+@exact_part
 def chain(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
     """Write the upper three rows of the product of transforms A (4, 4) and B (3, 4)."""
     for a in range(3):
@@ -62,7 +73,7 @@ def chain(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
         out[a, 3] += A[a, 3]
 
 
-@exact
+@exact_part
 def holds_ball(shape: tuple[int, int, int], M: FloatArray, ball: FloatArray, per_voxel: float) -> bool:
     """Return whether a ball (4,) moved by M (3, 4) lies within the grid."""
     radius = ball[3] * per_voxel + 1e-3  # more than single precision gets wrong
@@ -73,7 +84,7 @@ def holds_ball(shape: tuple[int, int, int], M: FloatArray, ball: FloatArray, per
     return True
 
 
-@exact
+@exact_part
 def voxels_within(
     M: FloatArray, x: Float32Array, y: Float32Array, z: Float32Array, shape: tuple[int, int, int], out: BitArray
 ) -> None:
@@ -89,7 +100,7 @@ def voxels_within(
         out[p] = (u * n_y + v) * n_z + w
 
 
-@exact
+@exact_part
 def voxels(
     M: FloatArray, x: Float32Array, y: Float32Array, z: Float32Array, shape: tuple[int, int, int], out: BitArray
 ) -> None:

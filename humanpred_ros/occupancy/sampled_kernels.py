@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.compiled import exact
+from humanpred_ros.geometry.compiled import exact, exact_part
 from humanpred_ros.occupancy.body_parts import Float32Array
-from humanpred_ros.occupancy.point_kernels import BitArray, chain, holds_ball, voxels, voxels_within
+from humanpred_ros.occupancy.point_kernels import BitArray, chain, holds_ball, most_in_a_round, voxels, voxels_within
 
 
 @exact
@@ -39,7 +39,7 @@ def sweep(
     """
     x, y, z = points
     n_rounds = rounds.shape[1] - 1
-    index = np.empty((rounds[:, 1:] - rounds[:, :-1]).max(), np.uint32)
+    index = np.empty(most_in_a_round(rounds), np.uint32)
     M = np.empty((3, 4))
     per_voxel = np.sqrt(T_grid_human[0, 0] ** 2 + T_grid_human[0, 1] ** 2 + T_grid_human[0, 2] ** 2)
     n_futures, n_postures, n_parts = poses.shape[:3]
@@ -105,7 +105,7 @@ def add_body(now: NDArray[np.bool_], share: Float32Array, busy: NDArray[np.bool_
                     busy[i + 1, j + 1] = True
 
 
-@exact
+@exact_part
 def _way(A: FloatArray, B: FloatArray, ball: FloatArray) -> float:
     """Return at least how far any point of a ball moves between two poses (4, 4) of its part."""
     centre, turn = 0.0, 0.0

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.checks import FloatArray, checked
-from humanpred_ros.geometry.compiled import exact
+from humanpred_ros.geometry.compiled import exact, exact_part
 from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.geometry.lattice import VoxelGrid
 
@@ -100,7 +100,10 @@ def _capped(
     for d in range(reach + 1):
         g = np.float32(max(d - 0.5, 0.0))
         gap[d] = g * g
-    a = np.full((nx, my, mz), far, dtype=np.float32)
+    a = np.empty((nx, my, mz), dtype=np.float32)
+    for x in range(nx):
+        for y in range(my):
+            _fill(a[x, y], far)
     inside = np.zeros((nx, ny, nz), dtype=np.bool_)
     used = np.zeros((nx, my), dtype=np.bool_)
     for m in range(len(flat)):
@@ -120,20 +123,20 @@ def _capped(
     shift = first[2] - reach - z0
     for x in range(nx):
         for y in range(ny):
-            line[:] = far
+            _fill(line, far)
             some = False
             for j in range(max(y + first[1] - reach, y0), min(y + first[1] + reach, y1) + 1):
                 if used[x, j - y0]:
                     some = True
                     _lower(line, a[x, j - y0], gap[abs(j - first[1] - y)])
             if not some:
-                out[x, y] = cap
+                _fill(out[x, y], cap)
                 continue
-            padded[:] = far
+            _fill(padded, far)
             for k in range(mz):
                 padded[k - shift] = line[k]
             target = out[x, y]
-            target[:] = far
+            _fill(target, far)
             for d in range(-reach, reach + 1):
                 _lower(target, padded[reach + d : reach + d + nz], gap[abs(d)])
             for k in range(nz):
@@ -141,7 +144,13 @@ def _capped(
     return out
 
 
-@exact
+@exact_part
+def _fill(line: NDArray[Any], value: Any) -> None:
+    for k in range(len(line)):
+        line[k] = value
+
+
+@exact_part
 def _lower(target: NDArray[Any], source: NDArray[Any], by: Any) -> None:
     for k in range(len(target)):
         value = source[k] + by

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.geometry.compiled import fast
+from humanpred_ros.geometry.compiled import fast, fast_part
 
 #: Kinds of fixed obstacles: half sizes are (x, y, z) of a box; (radius, -, half the height) of a cylinder.
 BOX, CYLINDER = 0, 1
@@ -75,7 +75,7 @@ def touches(
                 break
 
 
-@fast
+@fast_part
 def _touch(points: NDArray[Any], capsules: Any, fixed: Any, partner: Any, lattice: Any, allowed: NDArray[Any]) -> int:
     rows, radius = capsules
     n_fixed, n_all = len(fixed[0]), allowed.shape[1]
@@ -94,7 +94,7 @@ def _touch(points: NDArray[Any], capsules: Any, fixed: Any, partner: Any, lattic
     return -1
 
 
-@fast
+@fast_part
 def _far_from_all(a: NDArray[Any], b: NDArray[Any], radius: Any, lattice: Any) -> bool:
     """Return whether the lattice says that nothing is within the capsule about a to b; false where it does not know."""
     values, origin, resolution = lattice
@@ -109,7 +109,7 @@ def _far_from_all(a: NDArray[Any], b: NDArray[Any], radius: Any, lattice: Any) -
     return bool(values[i, j, k] > _HALF * np.sqrt(u * u + v * v + w * w) + radius + _NODE * resolution)
 
 
-@fast
+@fast_part
 def _to_fixed(a: NDArray[Any], b: NDArray[Any], radius: Any, fixed: Any, o: int, least: Any) -> Any:
     """Return the distance of the capsule about a to b from obstacle o, or anything not below `least` if it is not."""
     kind, rotation, centre, half = fixed
@@ -149,7 +149,7 @@ def _turned(R: NDArray[Any], x: Any, y: Any, z: Any) -> Any:
     )
 
 
-@fast
+@fast_part
 def _inside(x: Any, y: Any, z: Any, hx: Any, hy: Any, hz: Any, is_box: bool) -> Any:
     """Return the signed distance of a point in the obstacle's frame, negative inside."""
     if is_box:
@@ -161,7 +161,7 @@ def _inside(x: Any, y: Any, z: Any, hx: Any, hy: Any, hz: Any, is_box: bool) -> 
     return np.sqrt(u * u + v * v + w * w) + min(max(max(p, q), r), _0)
 
 
-@fast
+@fast_part
 def _to_capsule(a: NDArray[Any], b: NDArray[Any], radius: Any, partner: Any, k: int, least: Any) -> Any:
     """Return the distance between the capsule about a to b and the partner's k-th, or `least` if it is not below."""
     ends, radii = partner

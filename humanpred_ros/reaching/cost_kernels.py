@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.geometry.compiled import fast
+from humanpred_ros.geometry.compiled import fast, fast_part
 
 # P2's rules over offsets -2..+3 (facts section 4); see `stencils.RULES`.
 _V = tuple(np.float32(c / 6.0) for c in (-2.0, -3.0, 6.0, -1.0))
@@ -49,7 +49,7 @@ def difference_costs(y: NDArray[Any], before: NDArray[Any], weights: NDArray[Any
         _differences(padded, width, lanes, w0, w1, w2, w3, costs)
 
 
-@fast
+@fast_part
 def _differences(
     padded: NDArray[Any], width: int, lanes: int, w0: Any, w1: Any, w2: Any, w3: Any, costs: NDArray[Any]
 ) -> None:
@@ -105,15 +105,17 @@ def body_costs(
             for t in range(n_waypoints):
                 moved[t] = by_axis[0, t, 0] + by_axis[0, t, 1] + by_axis[0, t, 2]
         else:
-            moved[:] = _0
+            for t in range(n_waypoints):
+                moved[t] = _0
         _closeness(place, partner, close)
         _obstacles(place, obstacle, w, cell, near)
 
 
-@fast
+@fast_part
 def _closeness(place: NDArray[Any], partner: Any, out: NDArray[Any]) -> None:
     pairs, weights, other, decay, cutoff = partner
-    out[:] = _0
+    for t in range(len(out)):
+        out[t] = _0
     for k in range(len(pairs)):
         _add_closeness(
             place[pairs[k, 0], 0], place[pairs[k, 0], 1], place[pairs[k, 0], 2], other[pairs[k, 1], 0],
@@ -121,7 +123,7 @@ def _closeness(place: NDArray[Any], partner: Any, out: NDArray[Any]) -> None:
         )  # fmt: skip
 
 
-@fast
+@fast_part
 def _add_closeness(
     px: NDArray[Any], py: NDArray[Any], pz: NDArray[Any], ox: Any, oy: Any, oz: Any,
     weight: Any, decay: Any, cutoff: Any, out: NDArray[Any],
@@ -141,16 +143,17 @@ def _add_closeness(
         out[t] += weight * e if d < cutoff else _0
 
 
-@fast
+@fast_part
 def _obstacles(place: NDArray[Any], obstacle: Any, w: NDArray[Any], cell: NDArray[Any], out: NDArray[Any]) -> None:
     capsules, spheres, lattice, origin, resolution, clearance, weight = obstacle
     nx, ny, nz = lattice.shape
     flat = lattice.reshape(-1)
     per_cell = _1 / resolution
-    out[:] = _0
+    n = len(out)
+    for t in range(n):
+        out[t] = _0
     # Nearest node instead of the place itself, and interpolation: each is off by at most 0.87 cells.
     slack = clearance + np.float32(1.75) * resolution
-    n = len(out)
     for k in range(len(capsules)):
         a, b = capsules[k, 0], capsules[k, 1]
         begin, end = capsules[k, 2], capsules[k, 3]
@@ -173,7 +176,7 @@ def _obstacles(place: NDArray[Any], obstacle: Any, w: NDArray[Any], cell: NDArra
             _add_potential(w, spheres[s, 1], clearance, weight * resolution, out)
 
 
-@fast
+@fast_part
 def _along(a: NDArray[Any], b: NDArray[Any], share: Any, origin: NDArray[Any], per_cell: Any, w: NDArray[Any]) -> None:
     """Write places between a and b (3, N) in cells of the lattice to rows 0 to 2."""
     for axis in range(3):
@@ -182,7 +185,7 @@ def _along(a: NDArray[Any], b: NDArray[Any], share: Any, origin: NDArray[Any], p
             row[t] = (u[t] + share * (v[t] - u[t]) - low) * per_cell
 
 
-@fast
+@fast_part
 def _nearest(w: NDArray[Any], cell: NDArray[Any], nx: int, ny: int, nz: int) -> None:
     x, y, z = w[0], w[1], w[2]
     mx, my, mz = np.float32(nx - 1), np.float32(ny - 1), np.float32(nz - 1)
@@ -194,7 +197,7 @@ def _nearest(w: NDArray[Any], cell: NDArray[Any], nx: int, ny: int, nz: int) -> 
         cell[t] = np.uint32(np.int32(np.int32(i * layer) + np.int32(j * row)) + k)
 
 
-@fast
+@fast_part
 def _all_beyond(cell: NDArray[Any], lattice: NDArray[Any], reach: Any) -> bool:
     near = _0
     for t in range(len(cell)):
@@ -202,7 +205,7 @@ def _all_beyond(cell: NDArray[Any], lattice: NDArray[Any], reach: Any) -> bool:
     return bool(near == _0)
 
 
-@fast
+@fast_part
 def _corners(w: NDArray[Any], cell: NDArray[Any], nx: int, ny: int, nz: int) -> None:
     """Write the lowest of the eight nodes around each place, and to rows 3 to 5 the parts of a cell beyond it."""
     mx, my, mz = np.float32(nx - 1), np.float32(ny - 1), np.float32(nz - 1)
@@ -218,7 +221,7 @@ def _corners(w: NDArray[Any], cell: NDArray[Any], nx: int, ny: int, nz: int) -> 
         cell[t] = np.uint32(np.int32(np.int32(i * layer) + np.int32(j * row)) + k)
 
 
-@fast
+@fast_part
 def _interpolate(w: NDArray[Any], cell: NDArray[Any], lattice: NDArray[Any], ny: int, nz: int) -> None:
     """Write distances to row 6."""
     row, layer, one = np.uint32(nz), np.uint32(ny * nz), np.uint32(1)
@@ -236,7 +239,7 @@ def _interpolate(w: NDArray[Any], cell: NDArray[Any], lattice: NDArray[Any], ny:
         distance[t] = a + u[t] * (b - a)
 
 
-@fast
+@fast_part
 def _add_potential(w: NDArray[Any], radius: Any, clearance: Any, weight: Any, out: NDArray[Any]) -> None:
     """Add potential times the way between the neighbouring waypoints, halved; row 7 holds the way, in cells."""
     x, y, z, distance, way = w[0], w[1], w[2], w[6], w[7]

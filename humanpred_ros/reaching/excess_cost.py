@@ -102,14 +102,18 @@ def observe(state: HandState, points: FloatArray, t_s: float, row: FloatArray) -
     conclusion = judged(state.belief, points[0], t_s, state.reach.reached_m[0] > _BEGUN_M)
     if conclusion == FOUND:
         # The median of three is then of postures since the loss.
-        state.reach.recent[:] = state.before
-    state.before[1] = state.before[0]
-    state.before[0] = points
+        for i in range(len(points)):
+            for a in range(3):
+                state.reach.recent[0, i, a], state.reach.recent[1, i, a] = state.before[0, i, a], state.before[1, i, a]
+    for i in range(len(points)):
+        for a in range(3):
+            state.before[1, i, a], state.before[0, i, a] = state.before[0, i, a], points[i, a]
     if conclusion == LEFT_OUT:
         return conclusion
     if conclusion == ANEW:
         state.reach.n_seen[0] = 0
-        state.velocity[:] = 0.0
+        for a in range(3):
+            state.velocity[a] = 0.0
         state.peak_m_s[0] = 0.0
     first = state.reach.n_seen[0] == 0
     features = state.features
@@ -119,9 +123,11 @@ def observe(state: HandState, points: FloatArray, t_s: float, row: FloatArray) -
         share = 1.0 - np.exp(-step_s / _VELOCITY_S)
         for a in range(3):
             state.velocity[a] += share * ((features[a] - state.palm[a]) / step_s - state.velocity[a])
-    state.palm[:] = features[:3]
+    for a in range(3):
+        state.palm[a] = features[a]
     state.last_s[0] = t_s
-    speed = np.sqrt((state.velocity**2).sum())
+    vx, vy, vz = state.velocity[0], state.velocity[1], state.velocity[2]
+    speed = np.sqrt(vx * vx + vy * vy + vz * vz)
     state.peak_m_s[0] = max(state.peak_m_s[0], speed)
 
     reached = features[REACHED]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.compiled import exact, fast
+from humanpred_ros.geometry.compiled import exact_part, fast
 
 #: How many waypoints a difference rule looks to each side.
 REACH = 3
@@ -52,7 +52,7 @@ def differences(y: FloatArray, before: FloatArray, rules: FloatArray, out: Float
                 out[r, i, 1 + k] = total
 
 
-@exact
+@exact_part
 def _fetch(y: FloatArray, before: FloatArray, r: int, i: int, out: FloatArray) -> None:
     n = y.shape[1]
     if i < 0 and len(before) > 0:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.compiled import exact
+from humanpred_ros.geometry.compiled import exact_part
 
 #: No reaching hand is faster, m/s: ISO 13855 counts with 2 m/s at most when hands approach a machine, and 0.6 m in
 #: 0.3 s, as fast as people can, has a peak of 3.75 m/s (minimum jerk: 1.875 times the mean).
@@ -49,7 +49,7 @@ class Belief(NamedTuple):
         )
 
 
-@exact
+@exact_part
 def judged(belief: Belief, hand: FloatArray, t_s: float, begun: bool) -> int:
     """Judge the posture with the hand there (3,) at that time; changes `belief` in place.
 
@@ -73,16 +73,18 @@ def judged(belief: Belief, hand: FloatArray, t_s: float, begun: bool) -> int:
             if belief.n_steady[0] >= N_STEADY and (can_be or not begun):
                 conclusion = FOUND if can_be else ANEW
     belief.seen[0] = True
-    belief.hand[1] = hand
+    for a in range(3):
+        belief.hand[1, a] = hand[a]
     belief.stamp_s[1] = t_s
     if conclusion != LEFT_OUT:
         belief.n_steady[0] = 0
-        belief.hand[0] = hand
+        for a in range(3):
+            belief.hand[0, a] = hand[a]
         belief.stamp_s[0] = t_s
     return conclusion
 
 
-@exact
+@exact_part
 def _can_follow(belief: Belief, k: int, hand: FloatArray, t_s: float) -> bool:
     away = 0.0
     for a in range(3):

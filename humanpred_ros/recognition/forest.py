@@ -142,9 +142,12 @@ def _leaf_shares(
             if learned[m, tree]:
                 share[leaves[m, tree], label[m]] += 1.0
     for node in range(n_nodes):
-        total = share[node].sum()
+        total = np.float32(0.0)
+        for c in range(n_classes):
+            total += share[node, c]
         if total > 0:
-            share[node] /= total
+            for c in range(n_classes):
+                share[node, c] /= total
     return share
 
 

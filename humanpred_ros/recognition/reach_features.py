@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from humanpred_ros.errors import HumanModelError
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.compiled import exact
+from humanpred_ros.geometry.compiled import exact, exact_part
 from humanpred_ros.human.model import HumanModel
 
 Float32Array = NDArray[np.float32]
@@ -110,40 +110,63 @@ def advance(state: ReachState, points: FloatArray, features: FloatArray) -> None
     """Take the points (P, 3) of one posture: changes `state` in place and fills `features` (N_FEATURES,)."""
     n = state.n_seen[0]
     if n == 0:
-        for k in range(2):
-            state.recent[k] = points
+        for i in range(_N_POINTS):
+            for a in range(3):
+                state.recent[0, i, a] = state.recent[1, i, a] = points[i, a]
         for r in range(len(_ROPE_POINT)):
-            state.anchors[r] = points[_ROPE_POINT[r]]
+            for a in range(3):
+                state.anchors[r, a] = points[_ROPE_POINT[r], a]
     # The median of three forgives a tracker one wild posture.
     now = np.empty((_N_POINTS, 3))
     for i in range(_N_POINTS):
         for a in range(3):
             x, y, z = points[i, a], state.recent[0, i, a], state.recent[1, i, a]
             now[i, a] = max(min(x, y), min(max(x, y), z))
-    state.recent[1] = state.recent[0]
-    state.recent[0] = points
+            state.recent[1, i, a], state.recent[0, i, a] = y, x
+            if n < N_START:
+                state.first[n, i, a] = x
     if n < N_START:
-        state.first[n] = points
         for a in range(3):
-            state.start[a] = np.median(state.first[: n + 1, 0, a])
+            state.start[a] = _median(state.first, n + 1, a)
     state.n_seen[0] = n + 1
 
-    d = np.sqrt(((now[0] - state.start) ** 2).sum())
-    if n == 0 or d >= state.reached_m[0]:
+    x, y, z = now[0, 0] - state.start[0], now[0, 1] - state.start[1], now[0, 2] - state.start[2]
+    d = np.sqrt(x * x + y * y + z * z)
+    farther = n == 0 or d >= state.reached_m[0]
+    if farther:
         state.reached_m[0] = d
-        state.far[:] = now
     for i in range(_N_POINTS):
         for a in range(3):
+            if farther:
+                state.far[i, a] = now[i, a]
             features[3 * i + a] = now[i, a]
             features[FAR + 3 * i + a] = state.far[i, a]
     for r in range(len(_ROPE_POINT)):
-        pull = now[_ROPE_POINT[r]] - state.anchors[r]
-        length = np.sqrt((pull**2).sum())
+        k = _ROPE_POINT[r]
+        x, y, z = now[k, 0] - state.anchors[r, 0], now[k, 1] - state.anchors[r, 1], now[k, 2] - state.anchors[r, 2]
+        length = np.sqrt(x * x + y * y + z * z)
         if length > _ROPE_LENGTH_M[r]:
-            state.anchors[r] += pull * (1.0 - _ROPE_LENGTH_M[r] / length)
+            share = 1.0 - _ROPE_LENGTH_M[r] / length
+            state.anchors[r, 0] += x * share
+            state.anchors[r, 1] += y * share
+            state.anchors[r, 2] += z * share
         for a in range(3):
-            features[HEADINGS + 3 * r + a] = (now[_ROPE_POINT[r], a] - state.anchors[r, a]) / _ROPE_LENGTH_M[r]
+            features[HEADINGS + 3 * r + a] = (now[k, a] - state.anchors[r, a]) / _ROPE_LENGTH_M[r]
     features[DISTANCES] = d
     features[DISTANCES + 1] = state.reached_m[0]
     # Two centimetres: before the reach has begun, the share of the way back means nothing.
     features[DISTANCES + 2] = d / (state.reached_m[0] + 0.02)
+
+
+@exact_part
+def _median(first: FloatArray, n: int, a: int) -> float:
+    """Return the median of coordinate `a` of the palm in the first `n` postures."""
+    ordered = np.empty(N_START)
+    for k in range(n):
+        value, place = first[k, 0, a], k
+        while place > 0 and ordered[place - 1] > value:
+            ordered[place] = ordered[place - 1]
+            place -= 1
+        ordered[place] = value
+    middle: float = ordered[n // 2] if n % 2 else (ordered[n // 2 - 1] + ordered[n // 2]) / 2
+    return middle

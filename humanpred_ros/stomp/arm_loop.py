@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.geometry.compiled import fast
+from humanpred_ros.geometry.compiled import fast, fast_inline
 from humanpred_ros.stomp.cost_kernels import obstacle_sums, occupancy_sums
 from humanpred_ros.stomp.costs import CostTerm, HumanOccupancyCost, ObstacleCost, SmoothnessCost
 from humanpred_ros.stomp.iteration_kernels import begin_update, converged, finish_update
@@ -61,7 +61,7 @@ def iterate(
         )  # fmt: skip
 
 
-@fast
+@fast_inline
 def _evaluate(rollouts: NDArray[Any], state: NDArray[Any], joint: NDArray[Any], sums: NDArray[Any], terms: Any) -> bool:
     """Write the weighted costs of rollouts (K, N, D); return whether the last one is allowed."""
     obstacle, human, smoothness_weight = terms

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.geometry.compiled import fast, fast_inline
+from humanpred_ros.geometry.compiled import fast, fast_inline, fast_part
 
 Scalar: TypeAlias = Any
 
@@ -45,7 +45,7 @@ _C2, _C4, _C6 = (np.float32(c) for c in (-1 / 2, 1 / 24, -1 / 720))
 _C8, _C10, _C12 = (np.float32(c) for c in (1 / 40320, -1 / 3628800, 1 / 479001600))
 
 
-@fast
+@fast_part
 def _sincos(w: NDArray[Any]) -> None:
     for i in range(BLOCK):
         x = w[_ANGLE + i]
@@ -58,22 +58,23 @@ def _sincos(w: NDArray[Any]) -> None:
         w[_COS + i] = sign * (_1 + r2 * (_C2 + r2 * (_C4 + r2 * (_C6 + r2 * (_C8 + r2 * (_C10 + r2 * _C12))))))
 
 
-@fast
+@fast_part
 def _spread(root: NDArray[Any]) -> NDArray[Any]:
     """Repeat the root's 12 numbers for every configuration of a block."""
     frames = np.empty(12 * BLOCK, dtype=np.float32)
     for k in range(12):
-        frames[k * BLOCK : (k + 1) * BLOCK] = root[k]
+        for i in range(BLOCK):
+            frames[k * BLOCK + i] = root[k]
     return frames
 
 
-@fast
+@fast_part
 def _start(w: NDArray[Any], frames: NDArray[Any]) -> None:
     for i in range(12 * BLOCK):
         w[i] = frames[i]
 
 
-@fast
+@fast_part
 def _translate(w: NDArray[Any], x: Scalar, y: Scalar, z: Scalar) -> None:
     for k in range(3):
         for i in range(BLOCK):
@@ -82,7 +83,7 @@ def _translate(w: NDArray[Any], x: Scalar, y: Scalar, z: Scalar) -> None:
             )
 
 
-@fast
+@fast_part
 def _turn_fixed(w: NDArray[Any], f: NDArray[Any]) -> None:
     for k in range(3):
         for i in range(BLOCK):
@@ -104,22 +105,22 @@ def _rotate(w: NDArray[Any], u: int, v: int) -> None:
             w[(3 * k + v) * BLOCK + i] = b * w[_COS + i] - a * w[_SIN + i]
 
 
-@fast
+@fast_part
 def _rotate_x(w: NDArray[Any]) -> None:
     _rotate(w, 1, 2)
 
 
-@fast
+@fast_part
 def _rotate_y(w: NDArray[Any]) -> None:
     _rotate(w, 2, 0)
 
 
-@fast
+@fast_part
 def _rotate_z(w: NDArray[Any]) -> None:
     _rotate(w, 0, 1)
 
 
-@fast
+@fast_part
 def _next_link(w: NDArray[Any], q: NDArray[Any], first: int, j: int, joints: NDArray[Any]) -> None:
     """Carry the frames of a block over joint j; the block's configurations start at row `first` of q."""
     last = len(q) - 1
@@ -145,7 +146,7 @@ def _next_link(w: NDArray[Any], q: NDArray[Any], first: int, j: int, joints: NDA
         _rotate_z(w)
 
 
-@fast
+@fast_part
 def _place(w: NDArray[Any], x: Scalar, y: Scalar, z: Scalar) -> None:
     for i in range(BLOCK):
         w[_X + i] = w[i] * x + w[BLOCK + i] * y + w[2 * BLOCK + i] * z + w[9 * BLOCK + i]
@@ -153,7 +154,7 @@ def _place(w: NDArray[Any], x: Scalar, y: Scalar, z: Scalar) -> None:
         w[_Z + i] = w[6 * BLOCK + i] * x + w[7 * BLOCK + i] * y + w[8 * BLOCK + i] * z + w[11 * BLOCK + i]
 
 
-@fast
+@fast_part
 def _cells(w: NDArray[Any], cell: NDArray[Any], nx: int, ny: int, nz: int) -> None:
     mx, my, mz = np.float32(nx - 1), np.float32(ny - 1), np.float32(nz - 1)
     row, layer = np.int32(nz), np.int32(ny * nz)
@@ -165,13 +166,13 @@ def _cells(w: NDArray[Any], cell: NDArray[Any], nx: int, ny: int, nz: int) -> No
         cell[i] = np.uint32(np.int32(np.int32(x * layer) + np.int32(y * row)) + z)
 
 
-@fast
+@fast_part
 def _add_cells(w: NDArray[Any], cell: NDArray[Any], lattice: NDArray[Any]) -> None:
     for i in range(BLOCK):
         w[_COST + i] += lattice[cell[i]]
 
 
-@fast
+@fast_part
 def _outside(w: NDArray[Any], radius: Scalar, nx: int, ny: int, nz: int) -> bool:
     """Whether balls around (_X, _Y, _Z) all stay in the border, in cells."""
     hx, hy, hz = np.float32(nx) * _HALF, np.float32(ny) * _HALF, np.float32(nz) * _HALF
@@ -224,7 +225,7 @@ def occupancy_sums(
             out[first + i] = w[_COST + i]
 
 
-@fast
+@fast_part
 def _speeds(w: NDArray[Any], scale: Scalar) -> None:
     for i in range(BLOCK):
         a, b = w[_BEFORE + i], w[_AFTER + i]
@@ -234,7 +235,7 @@ def _speeds(w: NDArray[Any], scale: Scalar) -> None:
         w[_SPEED + i] = scale * np.sqrt(x * x + y * y + z * z)
 
 
-@fast
+@fast_part
 def _add_potential(w: NDArray[Any], radius: Scalar, clearance: Scalar) -> None:
     inverse = _HALF / clearance
     half = _HALF * clearance
@@ -246,7 +247,7 @@ def _add_potential(w: NDArray[Any], radius: Scalar, clearance: Scalar) -> None:
         w[_NEAREST + i] = min(w[_NEAREST + i], d)
 
 
-@fast
+@fast_part
 def _nearest_nodes(w: NDArray[Any], cell: NDArray[Any], nx: int, ny: int, nz: int) -> None:
     mx, my, mz = np.float32(nx - 1), np.float32(ny - 1), np.float32(nz - 1)
     row, layer = np.int32(nz), np.int32(ny * nz)
@@ -257,7 +258,7 @@ def _nearest_nodes(w: NDArray[Any], cell: NDArray[Any], nx: int, ny: int, nz: in
         cell[i] = np.uint32(np.int32(np.int32(x * layer) + np.int32(y * row)) + z)
 
 
-@fast
+@fast_part
 def _all_beyond(cell: NDArray[Any], lattice: NDArray[Any], reach: Scalar) -> bool:
     """Whether the distance at every node looked up is more than `reach`."""
     near = _0
@@ -266,7 +267,7 @@ def _all_beyond(cell: NDArray[Any], lattice: NDArray[Any], reach: Scalar) -> boo
     return bool(near == _0)
 
 
-@fast
+@fast_part
 def _corners(w: NDArray[Any], cell: NDArray[Any], nx: int, ny: int, nz: int) -> None:
     """Turn positions into the lowest of the eight nodes around them and the parts of a cell beyond it."""
     mx, my, mz = np.float32(nx - 1), np.float32(ny - 1), np.float32(nz - 1)
@@ -281,7 +282,7 @@ def _corners(w: NDArray[Any], cell: NDArray[Any], nx: int, ny: int, nz: int) -> 
         cell[i] = np.uint32(np.int32(np.int32(x * layer) + np.int32(y * row)) + z)
 
 
-@fast
+@fast_part
 def _interpolate(w: NDArray[Any], cell: NDArray[Any], lattice: NDArray[Any], ny: int, nz: int) -> None:
     row, layer = np.uint32(nz), np.uint32(ny * nz)
     one = np.uint32(1)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from humanpred_ros.geometry.compiled import fast
+from humanpred_ros.geometry.compiled import fast, fast_inline, fast_part
 
 #: Normal quantiles at the middle of 65536 equal probabilities: 16 random bits make one draw. The largest is
 #: 4.2 standard deviations, and their variance is 1 to within 1e-4.
@@ -61,11 +61,12 @@ def solve(factor: NDArray[Any], x: NDArray[Any]) -> None:
     colour(factor, x)
 
 
-@fast
+@fast_part
 def solve_unit(factor: NDArray[Any], j: int, x: NDArray[Any]) -> None:
     """Write column j of R⁻¹ into x (n,)."""
     n = len(x)
-    x[:] = 0.0
+    for i in range(n):
+        x[i] = 0.0
     x[j] = 1.0
     for i in range(j, n):
         value = x[i]
@@ -95,7 +96,7 @@ def _look_up(bits: NDArray[Any], table: NDArray[Any], out: NDArray[Any]) -> None
         out[i] = table[bits[i]]
 
 
-@fast
+@fast_inline
 def sample(
     theta: NDArray[Any],
     bits: NDArray[Any],
@@ -155,7 +156,7 @@ def keep_within_limits(x: NDArray[Any], lower: NDArray[Any], upper: NDArray[Any]
     return clipped
 
 
-@fast
+@fast_part
 def make_rollouts(
     theta: NDArray[Any],
     noise: NDArray[Any],
@@ -181,7 +182,7 @@ def make_rollouts(
             out[count, t, d] = theta[t, d]
 
 
-@fast
+@fast_inline
 def improve(
     theta: NDArray[Any],
     rollouts: NDArray[Any],
@@ -201,8 +202,9 @@ def improve(
     n_rollouts, n, n_joints = rollouts.shape
     lanes = n * n_joints
     cost = np.empty((n_rollouts, lanes), dtype=np.float32)
-    low = np.full(lanes, np.inf, dtype=np.float32)
-    high = np.full(lanes, -np.inf, dtype=np.float32)
+    low, high = np.empty(lanes, dtype=np.float32), np.empty(lanes, dtype=np.float32)
+    for k in range(lanes):
+        low[k], high[k] = np.float32(np.inf), np.float32(-np.inf)
     for r in range(n_rollouts):
         for t in range(n):
             for d in range(n_joints):
@@ -213,7 +215,10 @@ def improve(
             high[k] = max(high[k], row[k])
     total = np.zeros(lanes, dtype=np.float32)
     moved = np.zeros(lanes, dtype=np.float32)
-    flat_theta = theta.astype(np.float32).reshape(-1)
+    flat_theta = np.empty(lanes, dtype=np.float32)
+    for t in range(n):
+        for d in range(n_joints):
+            flat_theta[t * n_joints + d] = theta[t, d]
     h = np.float32(sharpness)
     for k in range(lanes):
         # Equal costs say nothing: the probabilities are then all the same.
@@ -236,7 +241,7 @@ def improve(
     keep_within_limits(theta, lower, upper, factor)
 
 
-@fast
+@fast_part
 def _exp(x: Any) -> Any:
     """e^x in float32 for -100 <= x <= 0: a polynomial of x/256, squared eight times; relative error 3e-5."""
     y = x * np.float32(1.0 / 256.0)
@@ -248,7 +253,7 @@ def _exp(x: Any) -> Any:
     return p
 
 
-@fast
+@fast_part
 def keep_best(
     rollouts: NDArray[Any], state: NDArray[Any], joint: NDArray[Any], n_best: int, copies: NDArray[Any]
 ) -> None:
@@ -275,22 +280,29 @@ def keep_best(
         copies[b] = best
         total[best] = np.inf
     # In ascending order no copy overwrites a rollout that is still needed.
-    copies.sort()
+    for b in range(1, n_best):
+        r, place = copies[b], b
+        while place > 0 and copies[place - 1] > r:
+            copies[place] = copies[place - 1]
+            place -= 1
+        copies[place] = r
     for b in range(n_best):
         r = copies[b]
         if r != b:
-            rollouts[b] = rollouts[r]
-            state[b] = state[r]
-            joint[b] = joint[r]
+            for t in range(n):
+                state[b, t] = state[r, t]
+                for d in range(n_joints):
+                    rollouts[b, t, d] = rollouts[r, t, d]
+                    joint[b, t, d] = joint[r, t, d]
 
 
-@fast
+@fast_inline
 def converged(counters: NDArray[Any], patience: int) -> bool:
     """Return whether a plan that is allowed has not become noticeably cheaper for `patience` updates."""
     return patience > 0 and counters[STALE] >= patience and counters[FORBIDDEN] == 0
 
 
-@fast
+@fast_inline
 def begin_update(
     theta: NDArray[Any],
     counters: NDArray[Any],
@@ -324,7 +336,7 @@ def begin_update(
     return int(first)
 
 
-@fast
+@fast_inline
 def finish_update(
     theta: NDArray[Any],
     best: NDArray[Any],
@@ -366,7 +378,7 @@ def finish_update(
     counters[DONE] += 1
 
 
-@fast
+@fast_inline
 def _keep(
     theta: NDArray[Any],
     best: NDArray[Any],
@@ -383,6 +395,8 @@ def _keep(
         if forbidden < counters[FORBIDDEN] or total < totals[REFERENCE]:
             counters[STALE] = 0
             totals[REFERENCE] = (1.0 - tolerance) * total
-        best[:] = theta
+        for t in range(theta.shape[0]):
+            for d in range(theta.shape[1]):
+                best[t, d] = theta[t, d]
         counters[FORBIDDEN] = forbidden
         totals[BEST] = total

@@ -17,7 +17,7 @@ from scipy.linalg import cholesky_banded
 
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.checks import FloatArray, frozen
-from humanpred_ros.geometry.compiled import fast
+from humanpred_ros.geometry.compiled import fast, fast_part
 from humanpred_ros.stomp import iteration_kernels
 
 Float32Array = NDArray[np.float32]
@@ -97,14 +97,14 @@ def smoothness(n_waypoints: int) -> Smoothness:
     bands = np.zeros((BANDWIDTH + 1, n))
     for k in range(min(BANDWIDTH, n - 1) + 1):
         bands[k, : n - k] = np.diagonal(R, -k)
-    factor = np.ascontiguousarray(cholesky_banded(bands, lower=True))
+    factor = frozen(np.ascontiguousarray(cholesky_banded(bands, lower=True)))
     inverse = np.eye(n)
     iteration_kernels.solve(factor, inverse)
     scale = 1.0 / (n * np.abs(inverse).max(axis=0))
-    return Smoothness(n_waypoints, frozen(factor), frozen(scale))  # type: ignore[arg-type]
+    return Smoothness(n_waypoints, factor, frozen(scale))  # type: ignore[arg-type]
 
 
-@fast
+@fast_part
 def _half_squared_accelerations(flat: NDArray[Any], n_joints: int, out: NDArray[Any]) -> None:
     """Write the costs of all waypoints but the two at each end, (waypoint, joint) pairs in one row."""
     lanes = len(flat) - 4 * n_joints

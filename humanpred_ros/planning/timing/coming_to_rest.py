@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.compiled import exact
+from humanpred_ros.geometry.compiled import exact, exact_part
 
 #: Time in which a joint that is speeding up stops doing so, s.
 _LEVEL_OFF_S = 0.05
@@ -90,7 +90,7 @@ def _fade(
             q[i, j], v[i, j], a[i, j] = way, speed, change
 
 
-@exact
+@exact_part
 def _excess(v0: float, a0: float, lasts: float, v_limit: float, a_limit: float) -> float:
     """Return the largest share of a limit that coming down in `lasts` seconds uses; the state is excused."""
     # Acceleration a0 + b u + c u² and its extremum; the velocity's lies where the acceleration crosses 0.

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.geometry.compiled import exact
+from humanpred_ros.geometry.compiled import exact, exact_part
 
 _TINY = 1e-12
 
 
-@exact
+@exact_part
 def _range_of_u(
     d1: NDArray[Any], d2: NDArray[Any], a_low: NDArray[Any], a_high: NDArray[Any], x: float
 ) -> tuple[float, float]:
@@ -98,7 +98,8 @@ def fastest(
     """
     n = len(best)
     x = np.zeros(n)
-    x[:first] = x0
+    for i in range(first):
+        x[i] = x0
     for i in range(first - 1, n - 1):
         step = 2.0 * ((i + 1) * ds - s0) if i == first - 1 else 2.0 * ds
         u_low, u_high = _range_of_u(d1[i], d2[i], a_low[i], a_high[i], x[i])

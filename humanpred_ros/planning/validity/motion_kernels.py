@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.geometry.compiled import exact
+from humanpred_ros.geometry.compiled import exact, exact_part
 
 #: A piece is never halved more often: 2^-40 of a second moves nothing.
 _DEEPEST = 40
 
 
-@exact
+@exact_part
 def _distance(x: float, y: float, z: float, values: NDArray[Any], origin: NDArray[Any], cells_per_m: float) -> float:
     """Return the trilinear interpolation at a world point; points outside the lattice go to its border."""
     nx, ny, nz = values.shape
@@ -40,7 +40,7 @@ def _distance(x: float, y: float, z: float, values: NDArray[Any], origin: NDArra
     return value
 
 
-@exact
+@exact_part
 def clearances(
     q: NDArray[Any],
     root: NDArray[Any],
@@ -104,10 +104,11 @@ def clearances(
             out[k] = found - spheres[k, 3]
 
 
-@exact
+@exact_part
 def ways(piece: NDArray[Any], lever: NDArray[Any], out: NDArray[Any]) -> None:
     """Write how far each sphere can travel at most (S,) during a piece (6, D), given lever arms (D, S)."""
-    out[:] = 0.0
+    for k in range(len(out)):
+        out[k] = 0.0
     for j in range(piece.shape[1]):
         turn = 0.0
         for i in range(5):
@@ -116,7 +117,7 @@ def ways(piece: NDArray[Any], lever: NDArray[Any], out: NDArray[Any]) -> None:
             out[k] += turn * lever[j, k]
 
 
-@exact
+@exact_part
 def halve(piece: NDArray[Any], early: NDArray[Any], late: NDArray[Any]) -> None:
     """Write the first and second half of a piece (6, D); `late` may be the piece itself."""
     for j in range(piece.shape[1]):
@@ -175,12 +176,15 @@ def search(
                 here = pieces[p - 1, 5]
                 clearances(here, root, joints, spheres, first, values, origin, cells_per_m, way, centres)
             else:
-                way[:] = left
+                for k in range(n):
+                    way[k] = left[k]
             for k in range(n):
                 if not way[k] >= least:
                     found, at, which, least = max(p - 1, 0), 1.0 if p else 0.0, k, way[k]
     for p in range(n_pieces):
-        stack[0] = pieces[p]
+        for i in range(6):
+            for j in range(n_joints):
+                stack[0, i, j] = pieces[p, i, j]
         clearances(pieces[p, 5], root, joints, spheres, first, values, origin, cells_per_m, ends[0], centres)
         until[0], depth[0], began, top = 1.0, 0, 0.0, 0
         while top >= 0:
@@ -196,7 +200,8 @@ def search(
             wanted = least - resolution if find_least else padding
             if low >= wanted or (find_least and (longest <= resolution or depth[top] >= _DEEPEST)):
                 floor = min(floor, low)
-                left[:] = right
+                for k in range(n):
+                    left[k] = right[k]
                 began = until[top]
                 top -= 1
                 continue

@@ -12,11 +12,20 @@ from pathlib import Path
 import pytest
 from paths import REPOSITORY
 
-from humanpred_ros.geometry.kernel_cache import MARK, remove_unused, sources_digest
+from humanpred_ros.geometry import compiled
+from humanpred_ros.geometry.compiled import (
+    MARK,
+    _compiling_imports,
+    announced,
+    exact,
+    exact_part,
+    remove_unused,
+    source_digest,
+)
 
 PACKAGE = REPOSITORY / "humanpred_ros"
 COMPILING = [source for source in sorted(PACKAGE.rglob("*.py")) if MARK in source.read_text(encoding="utf-8")]
-DECORATORS = {"exact", "fast", "fast_inline"}
+DECORATORS = {"exact", "fast", "exact_part", "fast_part", "fast_inline"}
 
 KERNELS = f"{MARK} exact\n@exact\ndef twice(x):\n    return {{factor}} * x\n"
 USERS = f"{MARK} exact\nfrom humanpred_ros.kernels import twice\n@exact\ndef again(x):\n    return twice(twice(x))\n"
@@ -75,14 +84,14 @@ def test_numba_is_used_by_way_of_compiled_only() -> None:
         if (isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "numba")
         or (isinstance(node, ast.Import) and any(alias.name.split(".")[0] == "numba" for alias in node.names))
     }
-    assert users == {"geometry/compiled.py", "geometry/kernel_cache.py"}
+    assert users == {"geometry/compiled.py"}
 
 
 def a_package(folder: Path) -> Path:
     """Write a package of the same name whose one kernel uses another file's."""
     package = folder / "humanpred_ros"
     (package / "geometry").mkdir(parents=True)
-    for name in ("__init__", "geometry/__init__", "geometry/compiled", "geometry/kernel_cache", "resources", "errors"):
+    for name in ("__init__", "geometry/__init__", "geometry/compiled", "resources", "errors"):
         (package / f"{name}.py").write_bytes((PACKAGE / f"{name}.py").read_bytes())
     (package / "kernels.py").write_text(KERNELS.format(factor=2), encoding="utf-8")
     (package / "users.py").write_text(USERS, encoding="utf-8")
@@ -135,13 +144,70 @@ def test_without_a_cache_folder_functions_are_kept_beside_their_sources(
     assert run(package, unusable) == ["4", "1", where]
 
 
-def test_the_digest_covers_compiling_files_only(tmp_path: Path) -> None:
+def test_the_digest_covers_a_file_and_what_it_compiles_from(tmp_path: Path) -> None:
     package = a_package(tmp_path)
-    before = sources_digest(package)
+
+    def digests() -> list[str]:
+        """Digests of the two files, and of a package whose imports were not read before."""
+        _compiling_imports.cache_clear()
+        return [source_digest(package / f"{name}.py", package) for name in ("kernels", "users")]
+
+    before = digests()
     (package / "errors.py").write_text("", encoding="utf-8")
-    assert sources_digest(package) == before
+    assert digests() == before
+    # An edit of a file changes what imports from it, and nothing else.
+    (package / "users.py").write_text(USERS + "# edited\n", encoding="utf-8")
+    after_users = digests()
+    assert after_users[0] == before[0]
+    assert after_users[1] != before[1]
+    (package / "kernels.py").write_text(KERNELS.format(factor=5), encoding="utf-8")
+    after_kernels = digests()
+    assert after_kernels[0] != before[0]
+    assert after_kernels[1] != after_users[1]
     (package / "geometry" / "compiled.py").write_text("", encoding="utf-8")
-    assert sources_digest(package) != before
+    assert digests()[0] != after_kernels[0]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from humanpred_ros.kernels import twice",
+        "from humanpred_ros import kernels",
+        "from humanpred_ros.kernels import (\n    thrice,\n    twice,\n)",
+        "from humanpred_ros import errors, kernels as others",
+    ],
+)
+def test_every_way_to_import_a_compiling_file_is_seen(tmp_path: Path, line: str) -> None:
+    package = a_package(tmp_path)
+    (package / "users.py").write_text(f"{MARK} exact\n{line}\n", encoding="utf-8")
+    assert package / "kernels.py" in _compiling_imports(package / "users.py", package)
+
+
+def test_compiling_is_announced_once_and_only_where_something_compiles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiled, "cache_folder", lambda source: str(tmp_path))
+    lines: list[str] = []
+
+    @exact_part
+    def half(x: float) -> float:
+        return 0.5 * x
+
+    @exact
+    def quarter(x: float) -> float:
+        return half(half(x))
+
+    with announced("the test", lines.append):
+        assert quarter(1.0) == 0.25
+        assert quarter(1) == 0.25
+    assert len(lines) == 2
+    assert all("the test" in line for line in lines)
+    assert "once" in lines[0]
+    with announced("the test", lines.append):
+        quarter(2.0)
+    assert len(lines) == 2
+    # A part has no entry for Python, which runs its source instead.
+    assert half(3.0) == 1.5
 
 
 def test_only_folders_nobody_used_are_removed(tmp_path: Path) -> None:
