@@ -16,7 +16,6 @@ from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.capsules import Box, Shape
 from humanpred_ros.geometry.chain import KinematicChain, inverse_pose
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.posture_kernels import link_poses
 
 TURNING, SLIDING = ("revolute", "continuous"), ("prismatic",)
 
@@ -156,6 +155,8 @@ class Description:
         Raises:
             UsageError: if a joint is unknown.
         """
+        from humanpred_ros.geometry.posture_kernels import link_poses  # numba, which not every reader needs
+
         q = np.zeros((1, len(self.joint_names)))
         for name, value in values.items():
             q[0, self.joint_index(name)] = value

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from humanpred_ros.errors import HumanModelError, UsageError
-from humanpred_ros.geometry import posture_kernels as kernels
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.description import Body, Joints
 from humanpred_ros.geometry.urdf import parse_description
@@ -159,7 +158,9 @@ class HumanModel:
             HumanModelError: wrong shape or values that are not finite.
         """
         postures = self._checked(q)
-        poses = kernels.link_poses(postures, *self.joints, self.link_joint, self.T_joint_link)
+        from humanpred_ros.geometry.posture_kernels import link_poses  # numba, which not every node needs
+
+        poses = link_poses(postures, *self.joints, self.link_joint, self.T_joint_link)
         return poses[0] if np.ndim(q) == 1 else poses
 
     def forward(self, q: ArrayLike) -> dict[str, FloatArray]:
