@@ -38,10 +38,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "onsets, ends and recognition on long streams with pauses",
     ),
     "evaluate interference": (
-        "evaluation.interference.command:run",
+        "evaluation.interference:run",
         "how much the arm disturbs the person (P1 Table I)",
     ),
-    "evaluate switching": ("evaluation.switching.command:run", "when the arm changes its goal (P1 Fig. 9)"),
+    "evaluate switching": ("evaluation.switching:run", "when the arm changes its goal (P1 Fig. 9)"),
     "evaluate reaching": (
         "evaluation.reaching:run",
         "predicted reaches against recorded (P2 Tables I to III, Figs. 7, 10)",

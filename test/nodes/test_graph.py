@@ -22,8 +22,8 @@ from waiting import processes_with_environment, wait_until
 from humanpred_ros.bags.messages import point_cloud2_fields
 from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.evaluation.demo import DemoSettings, period_of, run_demo
-from humanpred_ros.evaluation.direct_run import run_direct
 from humanpred_ros.evaluation.reproduce import compare_bags, replay_run
+from humanpred_ros.evaluation.simulation import run_direct
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from small_library import DOF_NAMES, REST
 
-from humanpred_ros.evaluation.interference.avoidance import find_avoidance
-from humanpred_ros.evaluation.interference.measures import LENGTH_WEIGHT, Witness, executed_cost
-from humanpred_ros.evaluation.interference.motion import ExecutedMotion
+from humanpred_ros.evaluation.avoidance import find_avoidance
+from humanpred_ros.evaluation.run_figures import LENGTH_WEIGHT, ExecutedMotion, RunEvaluator, executed_cost
 from humanpred_ros.geometry.chain import BodyPoints, KinematicChain
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
@@ -43,9 +42,9 @@ def person(places: FloatArray, period_s: float = 0.05) -> Motion:
     return Motion(period_s * np.arange(len(places)), np.stack([pelvis_at(p) for p in places]), DOF_NAMES, 1, 0)
 
 
-def witness(motion: Motion, n_held: int = 0) -> Witness:
+def evaluator(motion: Motion, n_held: int = 0) -> RunEvaluator:
     nothing = Occupancy(scene().grid, np.zeros(scene().grid.shape, dtype=np.float32))
-    return Witness(scene(), HUMAN, motion, nothing, nothing, n_held)
+    return RunEvaluator(scene(), HUMAN, motion, nothing, nothing, n_held)
 
 
 def tool_xy(q: FloatArray) -> FloatArray:
@@ -105,7 +104,7 @@ def test_no_margin_is_added_to_the_occupancy() -> None:
 def test_who_walks_into_a_resting_arm_is_seen_and_named() -> None:
     aim = tool_xy(scene().start)
     places = np.linspace(FAR, aim, 60)
-    figures = witness(person(places)).judge("basic", 0, ExecutedMotion(scene().start), [])
+    figures = evaluator(person(places)).figures("basic", 0, ExecutedMotion(scene().start), [])
     assert figures.contact is not None
     assert figures.contact.moved == "human"
     assert figures.contact.closed_by_arm_m == pytest.approx(0.0, abs=1e-9)
@@ -123,7 +122,7 @@ def test_an_arm_that_moves_into_a_resting_person_is_named() -> None:
     executed = ExecutedMotion(scene().start)
     t = np.array([0.2, 1.2])
     executed.take_over(0.2, TimedTrajectory(t, np.stack([scene().start, goal]), np.zeros((2, 7)), np.zeros((2, 7))))
-    figures = witness(motion).judge("basic", 0, executed, [])
+    figures = evaluator(motion).figures("basic", 0, executed, [])
     assert figures.contact is not None
     assert figures.contact.t_s > 0.2  # not before the arm moves
     assert figures.contact.moved == "arm"
@@ -138,7 +137,7 @@ def test_contact_on_the_way_is_not_missed_after_the_end_of_the_motion() -> None:
     executed = ExecutedMotion(scene().start)
     t = np.array([1.0, 2.0])
     executed.take_over(1.0, TimedTrajectory(t, np.stack([scene().start, goal]), np.zeros((2, 7)), np.zeros((2, 7))))
-    figures = witness(motion, n_held=60).judge("wait", 0, executed, [])
+    figures = evaluator(motion, n_held=60).figures("wait", 0, executed, [])
     assert figures.contact is not None
     assert figures.contact.t_s > motion.duration_s
     assert figures.goal == "red"
@@ -152,14 +151,14 @@ def test_who_is_still_on_the_way_at_the_end_has_not_arrived() -> None:
     t = np.array([0.1, 1.5])
     executed.take_over(0.1, TimedTrajectory(t, np.stack([scene().start, goal]), np.zeros((2, 7)), np.zeros((2, 7))))
     motion = person(np.repeat(FAR[None], 20, axis=0))
-    assert witness(motion).judge("basic", 0, executed, []).goal is None
-    assert witness(motion, n_held=20).judge("basic", 0, executed, []).goal == "red"
+    assert evaluator(motion).figures("basic", 0, executed, []).goal is None
+    assert evaluator(motion, n_held=20).figures("basic", 0, executed, []).goal == "red"
 
 
 def test_far_away_there_is_no_contact_and_the_distance_is_the_models() -> None:
     motion = person(np.linspace(FAR, FAR + 0.5, 20))
-    seen = witness(motion)
-    figures = seen.judge("ours", 3, ExecutedMotion(scene().start), [])
+    seen = evaluator(motion)
+    figures = seen.figures("ours", 3, ExecutedMotion(scene().start), [])
     spheres = scene().arm.spheres()
     centres = spheres.world_m(scene().arm.chain, scene().start)
     T = scene().T_world_human
@@ -171,7 +170,7 @@ def test_far_away_there_is_no_contact_and_the_distance_is_the_models() -> None:
 
 
 def test_clearance_is_to_the_nearest_object() -> None:
-    figures = witness(person(np.repeat(FAR[None], 5, axis=0))).judge("basic", 0, ExecutedMotion(scene().start), [])
+    figures = evaluator(person(np.repeat(FAR[None], 5, axis=0))).figures("basic", 0, ExecutedMotion(scene().start), [])
     spheres = scene().arm.spheres()
     centres = spheres.world_m(scene().arm.chain, scene().start)
     least = {o.name: (o.shape.distance(centres) - spheres.radius_m).min() for o in scene().obstacles}
@@ -180,7 +179,7 @@ def test_clearance_is_to_the_nearest_object() -> None:
 
 
 def test_staying_avoids_a_person_who_stays_away() -> None:
-    found = find_avoidance(witness(person(np.repeat(FAR[None], 10, axis=0))), ReplannerConfig())
+    found = find_avoidance(evaluator(person(np.repeat(FAR[None], 10, axis=0))), ReplannerConfig())
     assert found.policy == "stay at the start"
     assert found.avoidable
     assert found.latest_departure_s == np.inf
@@ -188,7 +187,7 @@ def test_staying_avoids_a_person_who_stays_away() -> None:
 
 def test_somebody_who_slowly_walks_into_the_arm_could_be_avoided_by_leaving() -> None:
     aim = tool_xy(scene().start)
-    found = find_avoidance(witness(person(np.linspace(aim + np.array([0.9, -0.9]), aim, 40), 0.1)), ReplannerConfig())
+    found = find_avoidance(evaluator(person(np.linspace(aim + np.array([0.9, -0.9]), aim, 40), 0.1)), ReplannerConfig())
     assert found.avoidable
     assert found.policy != "stay at the start"
     assert 0.0 <= found.latest_departure_s < np.inf
@@ -197,7 +196,7 @@ def test_somebody_who_slowly_walks_into_the_arm_could_be_avoided_by_leaving() ->
 
 def test_somebody_who_is_inside_the_arm_at_once_cannot_be_avoided() -> None:
     aim = tool_xy(scene().start)
-    found = find_avoidance(witness(person(np.repeat(aim[None], 4, axis=0))), ReplannerConfig())
+    found = find_avoidance(evaluator(person(np.repeat(aim[None], 4, axis=0))), ReplannerConfig())
     assert not found.avoidable
     assert found.best_m < 0.0
     assert found.tried > 100

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from small_library import small_library
 
-from humanpred_ros.evaluation.direct_run import predicted
-from humanpred_ros.evaluation.interference.occupancies import PredictedOccupancies, nobody
+from humanpred_ros.evaluation.simulation import PredictedOccupancies, nobody, predicted
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.occupancy.predictor import Prediction, Predictor

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from humanpred_ros.evaluation.interference.motion import ExecutedMotion, goal_reached
+from humanpred_ros.evaluation.run_figures import ExecutedMotion, goal_reached
 from humanpred_ros.planning.schedule import Schedule
 from humanpred_ros.planning.timing.parameterisation import time_parameterise
 from humanpred_ros.planning.timing.path import straight

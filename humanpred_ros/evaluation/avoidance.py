@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from humanpred_ros.evaluation.interference.measures import Witness
+from humanpred_ros.evaluation.run_figures import RunEvaluator
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.planning.timing.parameterisation import time_parameterise
@@ -49,19 +49,19 @@ class Avoidance:
         return bool(self.policy)
 
 
-def find_avoidance(witness: Witness, config: ReplannerConfig, seed: int = 0) -> Avoidance:
+def find_avoidance(evaluator: RunEvaluator, config: ReplannerConfig, seed: int = 0) -> Avoidance:
     """Try policies in turn until one stays clear of the human, table and objects.
 
     Args:
-        witness: scene and person.
+        evaluator: scene and person.
         config: limits and period of the planner.
         seed: of the places tried.
     """
     best, tried = -np.inf, 0
-    for policy, target, departures in _policies(witness, config, seed):
+    for policy, target, departures in _policies(evaluator, config, seed):
         clear_at = -np.inf
         for departure_s in departures:
-            least = _least_distance(witness, config, target, departure_s)
+            least = _least_distance(evaluator, config, target, departure_s)
             tried += 1
             best = max(best, least)
             if least > 0.0:
@@ -74,10 +74,10 @@ def find_avoidance(witness: Witness, config: ReplannerConfig, seed: int = 0) -> 
 
 
 def _policies(
-    witness: Witness, config: ReplannerConfig, seed: int
+    evaluator: RunEvaluator, config: ReplannerConfig, seed: int
 ) -> Iterator[tuple[str, FloatArray | None, tuple[float, ...]]]:
     """Yield name, target (None: stay) and departures of each policy."""
-    scene = witness.scene
+    scene = evaluator.scene
     departures = tuple(k * config.period_s for k in _DEPARTURES)
     yield "stay at the start", None, (0.0,)
     for goal in scene.goals:
@@ -94,24 +94,26 @@ def _policies(
         yield "leave for " + " ".join(f"{angle:.2f}" for angle in place), place, departures
 
 
-def _least_distance(witness: Witness, config: ReplannerConfig, target: FloatArray | None, departure_s: float) -> float:
+def _least_distance(
+    evaluator: RunEvaluator, config: ReplannerConfig, target: FloatArray | None, departure_s: float
+) -> float:
     """Return the least distance to the human; minus infinity where table or an object is in the way."""
-    scene = witness.scene
+    scene = evaluator.scene
     trajectory = at_rest(scene.start, departure_s)
     if target is not None:
-        trajectory = _timed(scene.start, target, witness, config, departure_s)
+        trajectory = _timed(scene.start, target, evaluator, config, departure_s)
         spheres = scene.arm.spheres()
         centres = spheres.world_m(scene.arm.chain, trajectory.q)
         for obstacle in (*scene.obstacles, *scene.arm.fixed_obstacles):
             if (obstacle.shape.distance(centres) - spheres.radius_m).min() < 0.0:
                 return -np.inf
-    return witness.meter.measure(trajectory.sample(witness.t_s)[0]).least_m
+    return evaluator.meter.measure(trajectory.sample(evaluator.t_s)[0]).least_m
 
 
 def _timed(
-    start: FloatArray, target: FloatArray, witness: Witness, config: ReplannerConfig, departure_s: float
+    start: FloatArray, target: FloatArray, evaluator: RunEvaluator, config: ReplannerConfig, departure_s: float
 ) -> TimedTrajectory:
-    limit = config.velocity_scale * witness.scene.arm.chain.velocity_limit
+    limit = config.velocity_scale * evaluator.scene.arm.chain.velocity_limit
     acceleration = np.broadcast_to(np.asarray(config.acceleration_limit, dtype=np.float64), limit.shape)
     rest = np.zeros(len(start))
     path = straight(start, target, _WAYPOINTS)

@@ -1,26 +1,140 @@
-"""Scenes, person and predictors of evaluations that plan: made where they are used, once in every process."""
+"""The arm beside recorded people, simulated in one process and in the data's clock, without ROS.
+
+The person makes a recorded motion and does not react; every posture is given to a predictor, and the replanner answers
+every occupancy. A stepped run over DDS gives the same decisions as `run_direct`, bit for bit.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from humanpred_ros.evaluation.interference.occupancies import PredictedOccupancies
 from humanpred_ros.evaluation.leave_one_out import FoldSettings, LeaveOneOut, leave_one_out
-from humanpred_ros.geometry.lattice import Occupancy
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR, predictor_type
+from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR, Predictor, predictor_type
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
+from humanpred_ros.planning.decision import ARRIVED, Decision
+from humanpred_ros.planning.replanner import MultiGoalReplanner
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.robot.scene import Scene, load_scene
+
+
+def run_direct(
+    scene: Scene,
+    predictor: Predictor,
+    replanner: MultiGoalReplanner,
+    motion: Motion,
+    threshold: float,
+    n_held: int = 0,
+) -> list[Decision]:
+    """Let the human make `motion` and the arm work; return one decision per posture.
+
+    Args:
+        scene: where the arm starts.
+        predictor: told to start anew.
+        replanner: told to start anew at the scene's start configuration.
+        motion: DoFs in the predictor's order.
+        threshold: voxels at or below this probability do not reach the planner, as over DDS.
+        n_held: how often the last posture is repeated at the end, at the motion's median period; the run
+            ends earlier when the arm has arrived.
+    """
+    return drive(replanner, scene.start, predicted(predictor, motion, threshold, n_held), len(motion))
+
+
+def predicted(predictor: Predictor, motion: Motion, threshold: float, n_held: int = 0) -> Iterator[Occupancy]:
+    """Yield the occupancy that reaches the planner after each posture; arguments as for `run_direct`."""
+    offsets_ns, postures = motion.timeline(n_held)
+    predictor.start()
+    for offset_ns, q in zip(offsets_ns, postures, strict=True):
+        yield predictor.update(q, offset_ns * 1e-9).occupancy.sparse(threshold)
+
+
+def drive(
+    replanner: MultiGoalReplanner,
+    q_start: ArrayLike,
+    occupancies: Iterable[Occupancy],
+    n_least: int = 0,
+    begin_s: float = 0.0,
+) -> list[Decision]:
+    """Let the arm work while occupancies come in; return one decision for each.
+
+    Args:
+        replanner: told to start anew.
+        q_start: (D,) where the arm rests at first.
+        occupancies: by ascending stamp.
+        n_least: so many are answered even if the arm arrives before; after that, arriving ends the run.
+        begin_s: since when the arm rests; the first step is due one period later.
+    """
+    replanner.start(q_start, begin_s)
+    decisions: list[Decision] = []
+    for occupancy in occupancies:
+        decision = replanner.respond(occupancy)
+        decisions.append(decision)
+        if decision.action == ARRIVED and len(decisions) >= n_least:
+            break
+    return decisions
+
+
+class PredictedOccupancies:
+    """The occupancies that follow from a motion, posture by posture, then from its last posture, held.
+
+    Predictions do not depend on what the arm does, so runs with different seeds or methods share them. They are made
+    as far as somebody reads, and kept as the few voxels that are not zero.
+    """
+
+    def __init__(self, predictor: Predictor, motion: Motion, threshold: float, n_held: int) -> None:
+        """Take a predictor that nobody else uses meanwhile; other arguments as for `run_direct`."""
+        self._grid: VoxelGrid = predictor.grid
+        self._source = predicted(predictor, motion, threshold, n_held)
+        self._made: list[tuple[float, NDArray[np.int64], NDArray[np.float32]]] = []
+
+    def __iter__(self) -> Iterator[Occupancy]:
+        return self.since(0)
+
+    def since(self, posture: int) -> Iterator[Occupancy]:
+        """Yield the occupancies from that of one posture on, counted from 0."""
+        while self._make(posture):
+            yield self.after(posture)
+            posture += 1
+
+    def after(self, posture: int) -> Occupancy:
+        """Return the occupancy that follows from the postures up to one.
+
+        Raises:
+            IndexError: the person makes no such posture.
+        """
+        if not self._make(posture):
+            raise IndexError(f"wanted one of {len(self._made)} postures, got {posture}")
+        t_s, flat, values = self._made[posture]
+        probability = np.zeros(self._grid.size, dtype=np.float32)
+        probability[flat] = values
+        return Occupancy(self._grid, probability.reshape(self._grid.shape), t_s)
+
+    def _make(self, posture: int) -> bool:
+        while len(self._made) <= posture:
+            occupancy = next(self._source, None)
+            if occupancy is None:
+                return False
+            flat = occupancy.voxels_above(0.0)
+            self._made.append((occupancy.t_s, flat, occupancy.probability.ravel()[flat]))
+        return True
+
+
+def nobody(grid: VoxelGrid, motion: Motion, n_held: int) -> Iterator[Occupancy]:
+    """Yield occupancies of the same stamps without anybody in them: what a planner sees that knows of no human."""
+    nothing = np.zeros(grid.shape, dtype=np.float32)
+    for offset_ns in motion.timeline(n_held)[0]:
+        yield Occupancy(grid, nothing, offset_ns * 1e-9)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,13 +9,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from paths import shared_data
 
-from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.switching.measures import ChoiceFigures, steps_earlier
-from humanpred_ros.evaluation.switching.reference import fig9_beside, read_fig9
-from humanpred_ros.evaluation.switching.result import SwitchSummary, VariantFigures, targets_of
-from humanpred_ros.evaluation.switching.runs import VARIANTS, Person, VariantRun, step_costs
+from humanpred_ros.evaluation.switching_runs import (
+    VARIANTS,
+    ChoiceFigures,
+    Person,
+    VariantRun,
+    step_costs,
+    steps_earlier,
+    variant_figures,
+)
 from humanpred_ros.robot.scene import load_scene
 
 R, B = "red", "blue"
@@ -49,10 +51,9 @@ def test_choices(
     assert (figures.switches, figures.returns) == (switches, returns)
 
 
-def test_wrong_first_and_recovered() -> None:
-    assert of("rrbb").recovered
+def test_wrong_first() -> None:
+    assert of("rrbb").wrong_first
     assert of("rrrr").wrong_first
-    assert not of("rrrr").recovered
     assert not of("brbb").wrong_first
 
 
@@ -88,24 +89,13 @@ def person(ours: str, current: str, right: str = B, default: str = R) -> Person:
 
 def test_summary_over_persons() -> None:
     persons = [person("rbbb", "rrrb"), person("bbbb", "rrrr"), person("brbb", "rrbb"), person("rrrr", "rrbb")]
-    figures = VariantFigures.of("ours", persons, 4)
-    assert (figures.persons, figures.right, figures.wrong_first, figures.recovered) == (4, 3, 2, 1)
-    assert (figures.switched, figures.returned, figures.returned_often) == (2, 1, 0)
-    assert figures.decided[1] == pytest.approx(np.median([2, 1, 3, 5]))
-    assert figures.decided_earlier[1] == pytest.approx(np.median([2, 4, 0, -2]))
-    assert figures.settled_earlier[1] == pytest.approx(np.median([2, 0, 0, 2]))
-    assert VariantFigures.of("current", persons, 4).decided_earlier == (0.0, 0.0, 0.0)
-
-
-def test_targets() -> None:
-    early = [person("rb" + 10 * "b", 9 * "r" + "bbb") for _ in range(19)] + [person("rbrb" + 8 * "b", 12 * "r")]
-    summary = SwitchSummary("all motions", 20, tuple(VariantFigures.of(v, early, 12) for v in VARIANTS))
-    targets = targets_of(early[0], None, [summary])
-    assert [target.met for target in targets] == [True] * 6
-    dithering = replace(summary, variants=tuple(VariantFigures.of(v, early[10:], 12) for v in VARIANTS))
-    assert not all(target.met for target in targets_of(None, None, [dithering]))
-    late = person("rrrrbb", "rrrrrr")
-    assert not targets_of(late, None, [])[0].met
+    figures = variant_figures("ours", persons, 4)
+    assert [figures[key] for key in ("persons", "right", "wrong_first", "recovered")] == [4, 3, 2, 1]
+    assert [figures[key] for key in ("switched", "returned", "returned_often")] == [2, 1, 0]
+    assert figures["decided"][1] == pytest.approx(np.median([2, 1, 3, 5]))
+    assert figures["decided_earlier"][1] == pytest.approx(np.median([2, 4, 0, -2]))
+    assert figures["settled_earlier"][1] == pytest.approx(np.median([2, 0, 0, 2]))
+    assert variant_figures("current", persons, 4)["decided_earlier"] == (0.0, 0.0, 0.0)
 
 
 def decision(stamp_s: float, chosen: str | None, **costs: float) -> Any:
@@ -137,23 +127,3 @@ def test_costs_by_step() -> None:
     assert steps[2].barred == {"red": "no way"}
     assert set(steps[2].costs) == {"red", "blue"}
     assert np.isnan(steps[3].costs["red"])
-
-
-def test_published_costs_switch_where_the_paper_says() -> None:
-    published = fig9_beside(shared_data("iros2013/library_a"))
-    assert published is not None
-    assert published.goals == ("red", "blue")
-    assert published.prediction.shape == published.current.shape == (20, 2)
-    assert published.switch(published.prediction) == 4
-    assert published.switch(published.current) == 14  # 13 counted from 0
-
-
-def test_a_wrong_reference_is_refused(tmp_path: Any) -> None:
-    path = tmp_path / "fig9.csv"
-    path.write_text("variant,step,goal,cup,cost\nprediction,1,0,red,0.1\n", encoding="utf-8")
-    with pytest.raises(UsageError, match="complete it"):
-        read_fig9(path)
-    path.write_text("step,cost\n1,0.1\n", encoding="utf-8")
-    with pytest.raises(UsageError, match="columns variant"):
-        read_fig9(path)
-    assert fig9_beside(tmp_path / "library") is None

@@ -1,25 +1,24 @@
-"""The arm chooses between goals while a person moves: one run for every kind of occupancy it may go by."""
+"""The arm chooses between goals while a person moves: one run for every kind of occupancy that it may go by."""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
-from humanpred_ros.evaluation.direct_run import drive
-from humanpred_ros.evaluation.interference.occupancies import nobody
-from humanpred_ros.evaluation.interference.world import RunSettings, World
-from humanpred_ros.evaluation.switching.measures import ChoiceFigures
+from humanpred_ros.evaluation.simulation import RunSettings, World, drive, nobody
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.planning.decision import Decision
 from humanpred_ros.planning.replanner import MultiGoalReplanner
 from humanpred_ros.robot.scene import Scene
 
-#: What choices are made by: predictor, and what to call it.
+#: What choices are made by: predictor, and what that is.
 VARIANTS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
         "ours": ("forecast", "the default predictor, forecast, with the classifier forest"),
@@ -27,6 +26,7 @@ VARIANTS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "current": ("current", "current occupancy only: the body where it is now"),
     }
 )
+CURRENT = "current"
 #: Probability of what is going to be swept, told as a prediction: almost certain.
 _EXPECTED = 0.99
 
@@ -63,8 +63,59 @@ class StepCosts:
 
 
 @dataclass(frozen=True)
+class ChoiceFigures:
+    """One run's choices, one for each step from 1; a step that chooses no goal is skipped.
+
+    Attributes:
+        first, last: goals chosen first and last; None if none ever was.
+        switches: changes from one goal to another.
+        first_switch: step of the first of them, None if there is none.
+        settled: step in which the final choice was made: from it on nothing changes; 1 if nothing ever did.
+        returns: changes to a goal that had been chosen and left before. A - B - A is one: back and forth.
+        right: whether the last choice is the right one.
+        decided: step since when the right goal is chosen up to the end, None if the last choice is wrong.
+        wrong_first: whether the first choice is wrong.
+    """
+
+    first: str | None
+    last: str | None
+    switches: int
+    first_switch: int | None
+    settled: int
+    returns: int
+    right: bool
+    decided: int | None
+    wrong_first: bool
+
+    @classmethod
+    def of(cls, choices: Sequence[str | None], right: str) -> ChoiceFigures:
+        """Return the figures of a run's choices, step by step; `right` is the right goal."""
+        chosen = [(step, goal) for step, goal in enumerate(choices, start=1) if goal is not None]
+        left: set[str] = set()
+        changes, returns = [], 0
+        for (_, before), (step, goal) in itertools.pairwise(chosen):
+            if goal != before:
+                changes.append(step)
+                left.add(before)
+                returns += goal in left
+        first, last = (chosen[0][1], chosen[-1][1]) if chosen else (None, None)
+        settled = changes[-1] if changes else (chosen[0][0] if chosen else 1)
+        return cls(
+            first=first,
+            last=last,
+            switches=len(changes),
+            first_switch=changes[0] if changes else None,
+            settled=settled,
+            returns=returns,
+            right=last == right,
+            decided=settled if last == right else None,
+            wrong_first=first != right,
+        )
+
+
+@dataclass(frozen=True)
 class VariantRun:
-    """The choices of one run; figures as in `ChoiceFigures`."""
+    """The choices of one run."""
 
     variant: str
     seed: int
@@ -170,3 +221,35 @@ def _at_once(replanner: MultiGoalReplanner, scene: Scene, occupancy: Occupancy) 
         return str(decision.chosen)
     costs = {report.name: report.selection_cost for report in decision.goals}
     return min(names, key=lambda name: costs.get(name, math.inf))
+
+
+def steps_earlier(ours: ChoiceFigures, other: ChoiceFigures, n_steps: int) -> int:
+    """Return by how many steps `ours` decided rightly before `other`; never counts as one after the last."""
+    never = n_steps + 1
+    return (never if other.decided is None else other.decided) - (never if ours.decided is None else ours.decided)
+
+
+def variant_figures(variant: str, persons: Sequence[Person], n_steps: int) -> dict[str, Any]:
+    """Return the choices of one variant, seed 0, beside persons; quartiles are (25, 50, 75 %) over them."""
+    mine = [person.run(variant).figures for person in persons]
+    current = [person.run(CURRENT).figures for person in persons]
+    pairs = list(zip(mine, current, strict=True))
+    return {
+        "variant": variant,
+        "persons": len(mine),
+        "right": sum(f.right for f in mine),
+        "wrong_first": sum(f.wrong_first for f in mine),
+        "recovered": sum(f.wrong_first and f.right for f in mine),
+        "switched": sum(f.switches > 0 for f in mine),
+        "returned": sum(f.returns > 0 for f in mine),
+        "returned_often": sum(f.returns > 1 for f in mine),
+        "settled": _quartiles([f.settled for f in mine]),
+        "decided": _quartiles([n_steps + 1 if f.decided is None else f.decided for f in mine]),
+        "settled_earlier": _quartiles([theirs.settled - f.settled for f, theirs in pairs]),
+        "decided_earlier": _quartiles([steps_earlier(f, theirs, n_steps) for f, theirs in pairs]),
+    }
+
+
+def _quartiles(values: Sequence[int]) -> tuple[float, float, float]:
+    low, middle, high = np.percentile(np.array(values, dtype=np.float64), [25.0, 50.0, 75.0])
+    return float(low), float(middle), float(high)

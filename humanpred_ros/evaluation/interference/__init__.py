@@ -1,1 +1,0 @@
-"""How much the arm disturbs the person, P1's Table I (`humanpred evaluate interference`)."""

@@ -1,1 +1,0 @@
-"""When the arm changes its goal, P1's Fig. 9 (`humanpred evaluate switching`)."""
