@@ -11,7 +11,7 @@ from small_library import small_library
 from humanpred_ros.evaluation.simulation import PredictedOccupancies, nobody, predicted
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.occupancy.predictor import Prediction, Predictor
+from humanpred_ros.occupancy.predictor import Prediction, Predictor, PredictorRequest
 
 GRID = VoxelGrid((0.0, 0.0, 0.0), 0.1, (4, 5, 6))
 MOTION = small_library(1, 1, 8).motions[0]
@@ -21,6 +21,10 @@ class Noise(Predictor):
     """Predicts what its own past says: a reader out of turn would change it."""
 
     grid = GRID
+
+    @classmethod
+    def from_request(cls, request: PredictorRequest) -> Noise:
+        return cls()
 
     def start(self) -> None:
         self._rng = np.random.default_rng(0)
