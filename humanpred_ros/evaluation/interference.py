@@ -75,7 +75,7 @@ class InterferenceSettings(LibrarySettings):
 
     def compared_methods(self) -> tuple[str, ...]:
         """Return the methods of the comparison in the order of `METHODS`. Raises UsageError for unknown ones."""
-        chosen = chosen_names(",".join(self.methods), METHODS, "methods")
+        chosen = chosen_names(self.methods, METHODS, "methods")
         return tuple(name for name in METHODS if name in {*chosen, BASIC})
 
     def run_settings(self) -> RunSettings:
