@@ -13,7 +13,7 @@ from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.planning.schedule import Schedule
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
-from humanpred_ros.robot.scene import load_scene
+from humanpred_ros.robot.scene_file import read_scene_file
 from humanpred_ros.settings import Settings, setting
 
 #: Before any trajectory: the arm has always rested.
@@ -36,7 +36,7 @@ class SimulatedArm(GraphNode):
     def __init__(self) -> None:
         super().__init__("simulated_arm")
         settings = declare(self, SimulatedArmSettings)
-        self.rest_q = load_scene(settings.scene).start
+        self.rest_q = read_scene_file(settings.scene).angle("start")
         self.origin_ns: int | None = None
         self.schedule = Schedule(self.rest_q, _LONG_AGO_S)
         # Made first, so that a trajectory and a clock tick that wait together are taken in this order.

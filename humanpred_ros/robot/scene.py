@@ -18,7 +18,6 @@ from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.geometry.distance_field import DEFAULT_RESOLUTION_M, SignedDistanceField, build_distance_field
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.geometry.shapes import Box, Cylinder, Obstacle, planar_pose
-from humanpred_ros.resources import share_file
 from humanpred_ros.robot.contacts import nearest_contacts, shoulder_approach
 from humanpred_ros.robot.goals import Goal, tool_goal
 from humanpred_ros.robot.pr2 import Pr2Arm
@@ -163,11 +162,6 @@ class Scene:
         ]
 
 
-def scene_names() -> tuple[str, ...]:
-    """Return the names of the scenes that come with the package."""
-    return tuple(sorted(path.stem for path in share_file("config", "scenes").glob("*.yaml")))
-
-
 def load_scene(name_or_path: str | Path, *, check: bool = True) -> Scene:
     """Read and check a scene.
 
@@ -181,18 +175,10 @@ def load_scene(name_or_path: str | Path, *, check: bool = True) -> Scene:
         GoalUnreachableError: for a start or goal outside the joint limits or in collision, and for a tool pose
             that no configuration reaches without collision.
     """
-    path = Path(name_or_path)
-    if path.suffix not in (".yaml", ".yml"):
-        known = scene_names()
-        if str(name_or_path) not in known:
-            raise SceneError(
-                f"scene: wanted one of {', '.join(known)} or the path of a .yaml file, got {str(name_or_path)!r}"
-            )
-        path = share_file("config", "scenes", f"{name_or_path}.yaml")
     try:
-        scene = _scene(read_scene_file(path))
+        scene = _scene(read_scene_file(name_or_path))
     except ArrayError as trouble:
-        raise SceneError(f"scene {path.stem}: {trouble}") from trouble
+        raise SceneError(f"scene {Path(name_or_path).stem}: {trouble}") from trouble
     if check:
         scene.check_free()
     return scene

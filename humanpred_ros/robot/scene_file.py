@@ -23,6 +23,7 @@ from pydantic import (
 
 from humanpred_ros.errors import SceneError
 from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.resources import share_file
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
 
 Triple = tuple[float, float, float]
@@ -181,12 +182,27 @@ class SceneFile(Section):
     places: tuple[PlaceSection, ...] = Field((), description="Places the person may reach for; none: the library's")
 
 
-def read_scene_file(path: Path) -> SceneFile:
+def scene_names() -> tuple[str, ...]:
+    """Return the names of the scenes that come with the package."""
+    return tuple(sorted(path.stem for path in share_file("config", "scenes").glob("*.yaml")))
+
+
+def read_scene_file(name_or_path: str | Path) -> SceneFile:
     """Return the content of a scene's YAML file.
+
+    Args:
+        name_or_path: the name of a scene of the package (`face_to_face`), or the path of a YAML file.
 
     Raises:
         SceneError: if it cannot be read, or for unknown, missing or impossible values, with their place in the file.
     """
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml"):
+        if str(name_or_path) not in scene_names():
+            raise SceneError(
+                f"scene: wanted one of {', '.join(scene_names())} or the path of a .yaml file, got {str(path)!r}"
+            )
+        path = share_file("config", "scenes", f"{name_or_path}.yaml")
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as trouble:

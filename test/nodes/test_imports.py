@@ -29,6 +29,7 @@ print("modules", *sys.modules)
     [
         ("run_recorder", "RunRecorder", ["output:=bag"], ""),
         ("skeleton_tracker_replay", "SkeletonTrackerReplay", ["mode:=stepped"], "node.publish_next()"),
+        ("simulated_arm", "SimulatedArm", [], "node.publish_now()"),
     ],
 )
 def test_a_node_that_passes_messages_on_is_light(

@@ -18,7 +18,8 @@ from humanpred_ros.geometry.urdf import find_pr2_urdf
 from humanpred_ros.robot.clearance import nearest_approaches
 from humanpred_ros.robot.contacts import SelfCollision, nearest_contacts, shoulder_approach
 from humanpred_ros.robot.pr2 import LEFT_ARM_JOINTS, LEFT_ARM_RAD, RIGHT_ARM_JOINTS, TORSO_LIFT_M, Pr2Arm
-from humanpred_ros.robot.scene import load_scene, scene_names
+from humanpred_ros.robot.scene import load_scene
+from humanpred_ros.robot.scene_file import scene_names
 
 ARM = Pr2Arm(np.eye(4))
 ITSELF = SelfCollision.for_arm(ARM)

@@ -14,8 +14,8 @@ import yaml
 from humanpred_ros.errors import GoalUnreachableError, HumanPredError, SceneError
 from humanpred_ros.resources import share_file
 from humanpred_ros.robot.goals import Goal
-from humanpred_ros.robot.scene import Scene, load_scene, scene_names
-from humanpred_ros.robot.scene_file import SceneFile
+from humanpred_ros.robot.scene import Scene, load_scene
+from humanpred_ros.robot.scene_file import SceneFile, scene_names
 
 FACE, SIDE = load_scene("face_to_face"), load_scene("side_by_side")
 
