@@ -23,7 +23,7 @@ ARGUMENTS = {
         "forecast, swept_volume (P1), reaching (P2), or a baseline: current, current_accumulated, constant_velocity",
     ),
     "human": ("kinect12", "whose postures come: kinect12 (P1, 12 DoFs) or mocap23 (P2, 23 DoFs)"),
-    "reach_goals": ("['']", "predictor reaching: places the hand may go to, as in \"['3 -0.22 -0.67 0.80']\""),
+    "places": ("['']", "predictor reaching: places the hand may go to, as in \"['3 -0.22 -0.67 0.80']\""),
     "record": ("", "folder of the bag, must not exist yet; empty records nothing"),
 }
 # The first start on a machine compiles the planner and trains a model before anybody is ready.
@@ -58,7 +58,7 @@ def graph(context: LaunchContext) -> list[Node]:
             model=text("model"),
             predictor=text("predictor"),
             human=text("human"),
-            reach_goals=ParameterValue(LaunchConfiguration("reach_goals"), value_type=List[str]),  # noqa: UP006
+            places=ParameterValue(LaunchConfiguration("places"), value_type=List[str]),  # noqa: UP006
             listener="stomp_planner",
         ),
     ]

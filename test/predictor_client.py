@@ -87,7 +87,7 @@ class PredictorClient(NodeClient):
 
     def set_goals(self, goals: GoalPlaces) -> None:
         """Set the parameter to these places of the tracker's frame."""
-        done, reason = self.set_parameter("reach_goals", goal_texts(goals))
+        done, reason = self.set_parameter("places", goal_texts(goals))
         assert done, reason
 
     def probability(self, label: int) -> NDArray[np.float64]:

@@ -74,7 +74,7 @@ class OccupancyPredictorSettings(Settings):
         "an installed package's",
     )
     human: str = setting("kinect12", "whose postures come: kinect12 (P1, 12 DoFs) or mocap23 (P2, 23 DoFs)")
-    reach_goals: tuple[str, ...] = setting(
+    places: tuple[str, ...] = setting(
         ("",),
         "reaching only: where the hand may go, each 'label x y z' (world frame, m); [''] asks scene, then library",
         changeable=True,
@@ -98,7 +98,7 @@ class OccupancyPredictorNode(GraphNode):
     a new motion.
 
     With the predictor `reaching`, the places where the hand may go can be changed while the node runs
-    (parameter `reach_goals`); those that the person cannot get to are warned about on /diagnostics.
+    (parameter `places`); those that the person cannot get to are warned about on /diagnostics.
     """
 
     def __init__(self) -> None:
@@ -113,9 +113,9 @@ class OccupancyPredictorNode(GraphNode):
         # Named wrongly, these should not cost a training first.
         check_predictor(settings.predictor, settings.classifier)
         _ = GmmSettings(**online)
-        told = self._told(list(settings.reach_goals))
+        told = self._told(list(settings.places))
         self.goals_m: FloatArray | None = None
-        self.own_goals: GoalPlaces | None = None
+        self.own_places: GoalPlaces | None = None
         self.predictor = (
             self._reaching(scene, told) if settings.predictor == "reaching" else self._trained(scene, online)
         )
@@ -174,22 +174,22 @@ class OccupancyPredictorNode(GraphNode):
             knowledge = ReachKnowledge.of_library(library, self.human)
         if knowledge.left_out:
             self.get_logger().warning(f"mistracked, not learned from: {', '.join(knowledge.left_out)}")
-        self.own_goals = (
+        self.own_places = (
             goals_of_scene({place.label: place.place_m for place in scene.places}, scene.T_world_human)
             or knowledge.places
         )
-        goals = told or self.own_goals
+        goals = told or self.own_places
         onsets = settings.detect_onsets
         return knowledge.predictor(
             scene.grid, scene.T_world_human, goals, onsets=onsets, weights=weights, obstacles=scene.obstacles
         )
 
     def _told(self, entries: list[str]) -> GoalPlaces | None:
-        """Return the places in the parameter reach_goals (UsageError if it cannot be used)."""
+        """Return the places in the parameter `places` (UsageError if it cannot be used)."""
         told = goals_from_text(entries, self.T_world_human)
         if told is not None and self.settings.predictor != "reaching":
             raise UsageError(
-                f"parameter reach_goals: wanted the predictor reaching, got {self.settings.predictor}, which knows "
+                f"parameter places: wanted the predictor reaching, got {self.settings.predictor}, which knows "
                 "only what its library shows; set predictor to reaching"
             )
         return told
@@ -198,10 +198,10 @@ class OccupancyPredictorNode(GraphNode):
         """Take other goals at run time, all or none of those set at once; everything else is read-only."""
         told = []
         for parameter in parameters:
-            if parameter.name != "reach_goals":
+            if parameter.name != "places":
                 continue
             try:
-                goals = self._told(parameter.value or []) or self.own_goals
+                goals = self._told(parameter.value or []) or self.own_places
                 if goals is None:
                     raise UsageError(
                         "reach goals: wanted at least one place, got none; neither scene nor library has any"
@@ -235,13 +235,13 @@ class OccupancyPredictorNode(GraphNode):
             self.refuse(str(error))
             return
         self.publisher.publish(conversions.occupancy_cloud(prediction.occupancy, self.settings.threshold, stamp_ns))
-        self._publish_goals(prediction, stamp_ns)
-        self._look_at_goals(q, stamp_ns)
+        self._publish_places(prediction, stamp_ns)
+        self._look_at_places(q, stamp_ns)
         if self.marker_publisher.get_subscription_count() and abs(stamp_ns - self.last_marker_ns) >= _MARKER_PERIOD_NS:
             self.last_marker_ns = stamp_ns
             self.marker_publisher.publish(occupancy_markers(prediction.occupancy, conversions.time_message(stamp_ns)))
 
-    def _publish_goals(self, prediction: Prediction, stamp_ns: int) -> None:
+    def _publish_places(self, prediction: Prediction, stamp_ns: int) -> None:
         """Publish where the hand may go, and how probable each place is."""
         posterior, T = prediction.posterior, self.T_world_human
         if isinstance(self.predictor, ReachingPredictor):
@@ -254,7 +254,7 @@ class OccupancyPredictorNode(GraphNode):
         goals_m = self.goals_m @ T[:3, :3].T + T[:3, 3]
         self.goal_publisher.publish(conversions.goals_cloud(goals_m, posterior.labels, posterior.probability, stamp_ns))
 
-    def _look_at_goals(self, q: FloatArray, stamp_ns: int) -> None:
+    def _look_at_places(self, q: FloatArray, stamp_ns: int) -> None:
         """Warn of places told that this person does not get to."""
         if not isinstance(self.predictor, ReachingPredictor):
             return

@@ -300,8 +300,8 @@ def test_parameters_are_read(context: Any) -> None:
         ("simulated_arm", {"nothing_like_it": 1}, r"has none of that name; it has scene, rate_hz"),
         (
             "occupancy_predictor",
-            {"reach_goals": "3 0 0 1"},
-            r"wanted a list of texts, .*reach_goals:=\"\['3 0 0 1'\]\"",
+            {"places": "3 0 0 1"},
+            r"wanted a list of texts, .*places:=\"\['3 0 0 1'\]\"",
         ),
         # A field of the planner's own configuration is not a parameter.
         ("stomp_planner", {"n_waypoints": 50}, r"did you mean waypoints\?"),
@@ -313,10 +313,10 @@ def test_a_parameter_that_cannot_be_used_is_named(context: Any, name: str, given
 
 
 def test_a_list_may_be_empty(context: Any) -> None:
-    told = declared(context, "occupancy_predictor", reach_goals=["3 0 0 1", "4 0 1 1"])
-    assert told.reach_goals == ("3 0 0 1", "4 0 1 1")
+    told = declared(context, "occupancy_predictor", places=["3 0 0 1", "4 0 1 1"])
+    assert told.places == ("3 0 0 1", "4 0 1 1")
     # ROS reads [] in a file or an argument as a parameter without a value.
-    assert declared(context, "occupancy_predictor", reach_goals=None).reach_goals == ("",)
+    assert declared(context, "occupancy_predictor", places=None).places == ("",)
 
 
 def test_parameters_meant_for_all_nodes_pass(context: Any) -> None:
@@ -387,4 +387,4 @@ def test_launch_accepts_the_launch_file() -> None:
     pytest.importorskip("launch_ros", reason="needs a ROS installation: launch is in no wheel")
     description = launch_file().generate_launch_description()
     names = [argument.name for argument in description.get_launch_arguments()]
-    assert names == ["scene", "library", "trajectory", "model", "predictor", "human", "reach_goals", "record"]
+    assert names == ["scene", "library", "trajectory", "model", "predictor", "human", "places", "record"]

@@ -40,7 +40,7 @@ def test_a_place_that_is_told_while_the_person_is_on_the_way_is_found(tmp_path: 
     places = GoalPlaces.of_library(shipped, human)
     two = GoalPlaces((1, 5), np.array([places.place(1), places.place(5)]))
     three = two.with_goal(NEW_LABEL, places.place(UNKNOWN))
-    parameters = {"library": str(library), "reach_goals": goal_texts(two)}
+    parameters = {"library": str(library), "places": goal_texts(two)}
     with PredictorClient(tmp_path, parameters, stop_after=20) as client:
         tracker = client.replay(SHIPPED, f"{UNKNOWN}/2")
         client.wait(lambda: len(client.posteriors) == 20, "the first answers", timeout_s=60.0)
@@ -77,7 +77,7 @@ def test_places_are_changed_refused_and_warned_about(tmp_path: Path) -> None:
         assert tuple(first) == (0, 4), "the library's classes, until somebody says otherwise"
         np.testing.assert_allclose(places, own.moved(SCENE.T_world_human).places_m, atol=1e-6)
         for entry in ("3 0.1 0.2", "cup 0.1 0.2 0.3"):
-            done, reason = client.set_parameter("reach_goals", [entry])
+            done, reason = client.set_parameter("places", [entry])
             assert not done
             assert "wanted 'label x y z'" in reason
             assert entry in reason
@@ -87,7 +87,7 @@ def test_places_are_changed_refused_and_warned_about(tmp_path: Path) -> None:
         client.wait(lambda: "warning/goal 9" in client.diagnostics[1], "the warning")
         assert client.diagnostics[0] == "ready"
         assert "out of reach" in client.diagnostics[1]["warning/goal 9"]
-        done, _ = client.set_parameter("reach_goals", [""])
+        done, _ = client.set_parameter("places", [""])
         assert done
         client.go_on()
         client.wait(lambda: "warning/goal 9" not in client.diagnostics[1], "the warning's end")
@@ -103,7 +103,7 @@ def test_the_23_dof_human_reaches_for_a_place_of_no_library(tmp_path: Path) -> N
     learned = write_library_bag(some_of(captured, {0, 2, 3}, 4), tmp_path / "learned")
     played = mocap_library(4, 1, seed=9)
     bag = write_library_bag(played, tmp_path / "played")
-    parameters = {"library": str(learned), "human": "mocap23", "reach_goals": goal_texts(places)}
+    parameters = {"library": str(learned), "human": "mocap23", "places": goal_texts(places)}
     with PredictorClient(tmp_path, parameters) as client:
         client.wait_for_end(client.replay(bag, "1/0"))
     told = client.probability(1)
@@ -119,7 +119,7 @@ def test_recordings_of_two_people_suffice_where_places_are_told(tmp_path: Path) 
     motion = recorded.find("1")
     ends = human.forward(np.array([m.q[-1] for m in recorded]))["right_palm"]
     goals = GoalPlaces((1, 2), np.array([ends[1], ends[1] + [0.5, -0.5, 0.0]]))
-    parameters = {"library": str(demos), "human": "mocap23", "reach_goals": goal_texts(goals)}
+    parameters = {"library": str(demos), "human": "mocap23", "places": goal_texts(goals)}
     with PredictorClient(tmp_path, {**parameters, "detect_onsets": False}) as client:
         client.wait_for_end(client.replay(demos, "1"))
     assert client.probability(1)[len(motion) - 1] > 0.8
@@ -146,8 +146,8 @@ def test_the_demo_runs_with_it_and_with_the_23_dof_human(tmp_path: Path) -> None
     [
         ({"human": "alien"}, "wanted one of kinect12, mocap23, got 'alien'"),
         ({"human": "mocap23"}, "wanted its 23 DoFs in its order, got 12 names"),
-        ({"reach_goals": ["3 0 0"]}, "wanted 'label x y z'"),
-        ({"reach_goals": ["3 0 0 1"], "predictor": "forecast"}, "wanted the predictor reaching, got forecast"),
+        ({"places": ["3 0 0"]}, "wanted 'label x y z'"),
+        ({"places": ["3 0 0 1"], "predictor": "forecast"}, "wanted the predictor reaching, got forecast"),
         ({"reach_weights": "heavy"}, "wanted one of baseline_0"),
     ],
 )

@@ -109,7 +109,7 @@ def run_node(people: People, predictor: str, folder: Path) -> NodeResult:
         "predictor": predictor,
         "human": people.human_name,
         "listener": "run_recorder",
-        **({"reach_goals": _entries(people, scene)} if told else {}),
+        **({"places": _entries(people, scene)} if told else {}),
         **_learned(people, folder),
     }
     motion = write_motion(folder / "back_and_forth", people.training, people.played[0], _SECONDS)
