@@ -20,7 +20,7 @@ from humanpred_ros import topics
 from humanpred_ros.evaluation.processes import ParameterValue
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.nodes import conversions, qos
-from humanpred_ros.planning.timing.trajectory import TimedTrajectory
+from humanpred_ros.planning.trajectory import TimedTrajectory
 from humanpred_ros.robot.scene import Scene
 
 NS = conversions.NS_PER_S

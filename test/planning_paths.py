@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.planning.timing.path import straight
+from humanpred_ros.planning.path import straight
 
 #: Half the PR2 arm's velocity limits, as the replanner uses them.
 V = np.array([2.088, 2.082, 3.27, 3.3, 3.6, 3.078, 3.6]) * 0.5

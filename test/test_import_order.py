@@ -13,9 +13,7 @@ ORDER = (
     "viewing", "evaluation", "nodes", "commands", "cli",
 )  # fmt: skip
 #: The same inside packages that have folders; what lies in the package itself comes last.
-INNER_ORDER = {
-    "planning": ("timing", "validity"),
-}
+INNER_ORDER = {}
 SHARED = {"errors", "plugins", "resources", "settings", "topics", "__version__"}
 ROS_MODULES = {
     "rclpy", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "rcl_interfaces", "rosgraph_msgs",

@@ -9,10 +9,10 @@ import numpy as np
 
 from humanpred_ros.evaluation.run_figures import RunEvaluator
 from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.planning.path import straight
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.timing.parameterisation import time_parameterise
-from humanpred_ros.planning.timing.path import straight
-from humanpred_ros.planning.timing.trajectory import TimedTrajectory, at_rest
+from humanpred_ros.planning.time_parameterisation import time_parameterise
+from humanpred_ros.planning.trajectory import TimedTrajectory, at_rest
 
 #: Waypoints of a straight line that is tried.
 _WAYPOINTS = 40

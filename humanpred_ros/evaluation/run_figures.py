@@ -14,8 +14,8 @@ from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.planning.decision import EVADE, HOLD, MISSED, REPLAN, Decision
-from humanpred_ros.planning.timing.path import path_integral, path_parameter
-from humanpred_ros.planning.timing.trajectory import TimedTrajectory, at_rest
+from humanpred_ros.planning.path import path_integral, path_parameter
+from humanpred_ros.planning.trajectory import TimedTrajectory, at_rest
 from humanpred_ros.robot.clearance import Separation, SeparationMeter
 from humanpred_ros.robot.scene import Scene
 from humanpred_ros.stomp.costs import HumanOccupancyCost, as_batch

@@ -17,9 +17,9 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from humanpred_ros.errors import ArrayError, PlanningError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
+from humanpred_ros.nodes.controller_checks import controller_refusal
 from humanpred_ros.planning.decision import Decision
-from humanpred_ros.planning.timing.controller_checks import controller_refusal
-from humanpred_ros.planning.timing.trajectory import TimedTrajectory
+from humanpred_ros.planning.trajectory import TimedTrajectory
 
 NS_PER_S = 1_000_000_000
 _CENTRE_TOLERANCE = 1e-3  # of a voxel: what float32 coordinates can be off by, with room to spare

@@ -11,7 +11,7 @@ from humanpred_ros.errors import PlanningError
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.parameters import declare
-from humanpred_ros.planning.schedule import Schedule
+from humanpred_ros.planning.trajectory import Schedule
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
 from humanpred_ros.robot.scene_file import read_scene_file
 from humanpred_ros.settings import Settings, setting

@@ -12,7 +12,7 @@ from types import MappingProxyType
 import numpy as np
 
 from humanpred_ros.geometry.checks import FloatArray, frozen
-from humanpred_ros.planning.timing.trajectory import TimedTrajectory
+from humanpred_ros.planning.trajectory import TimedTrajectory
 
 REPLAN = "replan"
 KEEP = "keep"

@@ -8,24 +8,38 @@ that the person is likely to sweep.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.chain import reach_m
-from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.compiled import exact, exact_part
+from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.planning.person_distance import PersonDistance
+from humanpred_ros.planning.motion_check import MotionChecker, Trouble
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.timing.trajectory import TimedTrajectory
-from humanpred_ros.planning.validity.motion_check import MotionChecker, Trouble
+from humanpred_ros.planning.trajectory import Schedule, TimedTrajectory
 
 #: Distances beyond this many times the separation need not be told apart, and this at least, m.
 _CAP_SEPARATIONS, _LEAST_CAP_M = 3.0, 0.2
-#: How often a trajectory is held against where the person is likely to be, s, and how much deeper into that an arm
+#: How often a trajectory is compared with where the person is likely to be, s, and how much deeper into that an arm
 #: may come on its way out, m.
 _LOOK_S, _DEEPER_M = 0.02, 0.01
+#: An arm that is too close to the person already may come closer by this before it is stopped, m; moments of a
+#: stretch at which that is looked at.
+_CLOSER_M, _LOOKS = 0.01, 9
+#: A voxel whose centre is exactly at the margin counts, whatever rounding says.
+_ROUNDING = 1e-9
+#: Interpolated distances exceed the true distance to cubes by at most this many voxels: in front of the corner
+#: of a single one. In front of faces they are exact (see the test).
+OVERSTATED_VOXELS = 0.5
+#: Distances are capped here; what is farther away need not be told apart, m.
+DEFAULT_CAP_M = 0.4
 
 
 class Person:
@@ -38,11 +52,11 @@ class Person:
         """Take the occupancy, and the arm's checker against obstacles for what it knows of the arm."""
         self.occupancy, self._checker, self._config = occupancy, checker, config
 
-    def in_the_way(self, trajectory: TimedTrajectory, begin_s: float, end_s: float | None = None) -> Trouble | None:
+    def conflict(self, trajectory: TimedTrajectory, begin_s: float, end_s: float | None = None) -> Trouble | None:
         """Return where a trajectory first comes too close to where the person is for certain, or None."""
         return None if self._certain is None else self._certain.first_trouble(trajectory, begin_s, end_s)
 
-    def on_the_way(self, trajectory: TimedTrajectory, begin_s: float) -> str:
+    def crossing(self, trajectory: TimedTrajectory, begin_s: float) -> str:
         """Return why a trajectory should not be executed: it crosses where the person is likely to be. Else empty.
 
         An arm that is in such a place already may leave it, never deeper into it. Looked at every 20 ms: being likely
@@ -52,7 +66,7 @@ class Person:
             return ""
         begin = min(begin_s, trajectory.end_s)
         t = np.linspace(begin, trajectory.end_s, max(2, int(np.ceil((trajectory.end_s - begin) / _LOOK_S)) + 1))
-        clearance = self.clearance_m(trajectory.sample(t)[0])
+        clearance = self.likely_gap_m(trajectory.sample(t)[0])
         separation = self._config.min_separation_m
         wanted = np.full(len(t), separation)
         if clearance[0] < separation:
@@ -71,7 +85,7 @@ class Person:
         """Return how close a trajectory comes to where the person is for certain."""
         return np.inf if self._certain is None else self._certain.nearest(trajectory, begin_s).clearance_m
 
-    def comes_to(self, q: ArrayLike) -> str:
+    def rest_conflict(self, q: ArrayLike) -> str:
         """Return why an arm should not rest at `q` (D,): the person is likely to come there. Empty if it may."""
         if self._likely is None:
             return ""
@@ -83,11 +97,41 @@ class Person:
             f"{max(nearest.clearance_m, 0.0):.2f} m of {nearest.link.removesuffix('_joint')} there"
         )
 
-    def clearance_m(self, q: FloatArray) -> FloatArray:
+    def stop_reason(self, schedule: Schedule, from_s: float, to_s: float) -> str:
+        """Return why the robot must stop at once: it would come too close to the person before `to_s`. Else empty.
+
+        An arm that is too close already, because the person came to it, is stopped only if it comes closer itself.
+        """
+        for begin_s, end_s, trajectory in schedule.pieces(from_s, to_s):
+            if trajectory.end_s <= begin_s:
+                continue  # an arm at rest can do nothing by stopping
+            trouble = self.conflict(trajectory, begin_s, end_s)
+            if trouble is None:
+                continue
+            here = float(self.certain_gap_m(schedule.state_at(from_s)[0][None])[0])
+            coming = trajectory.sample(np.linspace(begin_s, end_s, _LOOKS))[0]
+            if float(self.certain_gap_m(coming).min()) < min(self._config.min_separation_m, here - _CLOSER_M):
+                return f"too close: {trouble}"
+        return ""
+
+    def calls_for_replanning(self, schedule: Schedule, t_s: float, t_switch_s: float) -> bool:
+        """Return whether what is executed at `t_s` should be replaced as soon as a new plan can take over.
+
+        That is if it comes too close to where the person is, crosses where they are likely to be, or ends there. While
+        the answer to the last such danger has not taken over yet, nothing is asked for.
+        """
+        if schedule.last_from_s > t_s:
+            return False
+        executing = schedule.at(t_s)
+        if self.rest_conflict(executing.q[-1]) or self.conflict(executing, t_switch_s):
+            return True
+        return executing.end_s > t_s and bool(self.crossing(executing, t_switch_s))
+
+    def likely_gap_m(self, q: FloatArray) -> FloatArray:
         """Return the distances (K,) of the arm at configurations (K, D) from where the person is likely to be."""
         return self._gaps(self._likely, q)
 
-    def gap_m(self, q: FloatArray) -> FloatArray:
+    def certain_gap_m(self, q: FloatArray) -> FloatArray:
         """Return the distances (K,) of the arm at configurations (K, D) from where the person is for certain."""
         return self._gaps(self._certain, q)
 
@@ -120,3 +164,185 @@ class Person:
 def _distances(grid: VoxelGrid, checker: MotionChecker, cap_m: float) -> PersonDistance:
     centre, radius = reach_m(checker.chain, checker.spheres)
     return PersonDistance(grid, centre - radius, centre + radius, cap_m)
+
+
+def widened(occupancy: Occupancy, margin_m: float) -> Occupancy:
+    """Return the occupancy with every voxel as likely as the likeliest within `margin_m` of its centre.
+
+    The arm is then charged for coming closer to the person than the margin. Voxels whose centres are
+    farther apart than the margin do not affect each other, so 0 changes nothing.
+
+    Returns:
+        The box of the lattice that holds all of it: beyond, everything is 0.
+
+    Raises:
+        PlanningError: a margin that is negative or not finite.
+    """
+    if not 0.0 <= margin_m < np.inf:
+        raise PlanningError(f"human margin: wanted a distance >= 0 m, got {margin_m}")
+    grid = occupancy.grid
+    steps = int(margin_m / grid.resolution_m + _ROUNDING)
+    cells = np.stack(np.unravel_index(occupancy.voxels_above(0.0), grid.shape), axis=1)
+    if len(cells) == 0:
+        cells = np.zeros((1, 3), dtype=np.int64)
+    low = np.maximum(cells.min(axis=0) - steps, 0)
+    high = np.minimum(cells.max(axis=0) + steps + 1, grid.shape)
+    part = occupancy.probability[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+    origin = np.asarray(grid.origin_m) + low * grid.resolution_m
+    nx, ny, nz = (int(size) for size in high - low)
+    box = VoxelGrid((float(origin[0]), float(origin[1]), float(origin[2])), grid.resolution_m, (nx, ny, nz))
+    if steps == 0:
+        return Occupancy(box, part, occupancy.t_s)
+    reach = np.arange(-steps, steps + 1)
+    offsets = np.stack(np.meshgrid(reach, reach, reach, indexing="ij"), axis=-1).reshape(-1, 3)
+    near = (offsets**2).sum(axis=1) <= (margin_m / grid.resolution_m) ** 2 + _ROUNDING
+    wide = np.zeros(box.shape, dtype=np.float32)
+    _spread(np.ascontiguousarray(part), cells - low, offsets[near], wide)
+    return Occupancy(box, wide, occupancy.t_s)
+
+
+@exact
+def _spread(probability: NDArray[Any], cells: NDArray[Any], offsets: NDArray[Any], wide: NDArray[Any]) -> None:
+    nx, ny, nz = wide.shape
+    for c in range(len(cells)):
+        x, y, z = cells[c]
+        p = probability[x, y, z]
+        for k in range(len(offsets)):
+            i, j, m = x + offsets[k, 0], y + offsets[k, 1], z + offsets[k, 2]
+            if 0 <= i < nx and 0 <= j < ny and 0 <= m < nz and wide[i, j, m] < p:
+                wide[i, j, m] = p
+
+
+@dataclass(frozen=True)
+class PersonDistance:
+    """Makes distance fields of voxels of one grid, within a box, anew for every occupancy.
+
+    A voxel counts as a solid cube. Exact distances to cubes are separable: the squared gap to a cube is the sum of
+    three squared gaps along the axes, so three passes of minima along lines give them at all voxel centres. Only
+    distances up to a cap are wanted, and only where the arm can be, which keeps it to a millisecond or two.
+
+    Attributes:
+        grid: the lattice of the occupancy.
+        lower_m, upper_m: (3,) box that holds every point asked for (the arm's reach), world frame. Points
+            outside the box may get too large distances; points outside the grid do not.
+        cap_m: larger distances are reported as this.
+
+    Raises:
+        PlanningError: for a box that is empty or does not meet the grid, or a cap that is not positive.
+    """
+
+    grid: VoxelGrid
+    lower_m: FloatArray
+    upper_m: FloatArray
+    cap_m: float = DEFAULT_CAP_M
+
+    def __post_init__(self) -> None:
+        lower = checked("person distance: lower corner", self.lower_m, (3,), error=PlanningError)
+        upper = checked("person distance: upper corner", self.upper_m, (3,), error=PlanningError)
+        if not (self.cap_m > 0.0 and np.isfinite(self.cap_m)):
+            raise PlanningError(f"person distance: wanted a cap > 0 m, got {self.cap_m}")
+        # Nodes are voxel centres; one beyond the box on each side, so that it lies between them.
+        shape = np.array(self.grid.shape)
+        first = np.floor((lower - self.grid.origin_m) / self.grid.resolution_m - 0.5).astype(np.int64)
+        last = np.ceil((upper - self.grid.origin_m) / self.grid.resolution_m - 0.5).astype(np.int64)
+        first, last = np.clip(first, 0, shape - 1), np.clip(last, 0, shape - 1)
+        if not (upper > lower).all() or (last - first < 1).any():
+            raise PlanningError(
+                f"person distance: wanted a box that overlaps the grid by two voxels or more, got {lower} to {upper} "
+                f"in a grid from {self.grid.origin_m} of {self.grid.shape} voxels of {self.grid.resolution_m} m"
+            )
+        object.__setattr__(self, "_first", first)
+        object.__setattr__(self, "_last", last)
+
+    def field(self, flat: NDArray[np.int64]) -> SignedDistanceField:
+        """Return the distance to the cubes of voxels given by flat index (M,), as of `Occupancy.voxels_above`.
+
+        Exact at voxel centres outside the cubes and up to the cap; inside it is minus half a voxel however deep.
+
+        Raises:
+            PlanningError: for indices outside the grid.
+        """
+        flat = np.asarray(flat, dtype=np.int64).ravel()
+        if len(flat) and (flat.min() < 0 or flat.max() >= self.grid.size):
+            raise PlanningError(
+                f"person distance: wanted voxels 0 to {self.grid.size - 1}, got {flat.min()} to {flat.max()}"
+            )
+        first: NDArray[np.int64] = self._first  # type: ignore[attr-defined]
+        last: NDArray[np.int64] = self._last  # type: ignore[attr-defined]
+        h = self.grid.resolution_m
+        reach = int(np.ceil(self.cap_m / h + 0.5))
+        cells = _capped(flat, np.array(self.grid.shape, dtype=np.int64), first, last, reach, np.float32(self.cap_m / h))
+        origin = np.asarray(self.grid.origin_m) + (first + 0.5) * h
+        return SignedDistanceField(origin, h, cells * np.float32(h))
+
+
+@exact
+def _capped(
+    flat: NDArray[Any], shape: NDArray[Any], first: NDArray[Any], last: NDArray[Any], reach: int, cap: Any
+) -> NDArray[Any]:
+    """Return distances in voxels at nodes `first` to `last`; marks more than `reach` away are left out."""
+    nx, ny, nz = last[0] - first[0] + 1, last[1] - first[1] + 1, last[2] - first[2] + 1
+    far = np.float32(cap * cap)
+    # Marks can count from outside the box, up to `reach`; each pass drops that margin along its axis.
+    y0, z0 = max(first[1] - reach, 0), max(first[2] - reach, 0)
+    y1, z1 = min(last[1] + reach, shape[1] - 1), min(last[2] + reach, shape[2] - 1)
+    my, mz = y1 - y0 + 1, z1 - z0 + 1
+    gap = np.empty(reach + 1, dtype=np.float32)
+    for d in range(reach + 1):
+        g = np.float32(max(d - 0.5, 0.0))
+        gap[d] = g * g
+    a = np.empty((nx, my, mz), dtype=np.float32)
+    for x in range(nx):
+        for y in range(my):
+            _fill(a[x, y], far)
+    inside = np.zeros((nx, ny, nz), dtype=np.bool_)
+    used = np.zeros((nx, my), dtype=np.bool_)
+    for m in range(len(flat)):
+        i = flat[m] // (shape[1] * shape[2])
+        j = flat[m] // shape[2] % shape[1]
+        k = flat[m] % shape[2]
+        if j < y0 or j > y1 or k < z0 or k > z1:
+            continue
+        for x in range(max(i - reach, first[0]), min(i + reach, last[0]) + 1):
+            here = a[x - first[0], j - y0, k - z0]
+            a[x - first[0], j - y0, k - z0] = min(here, gap[abs(x - i)])
+            used[x - first[0], j - y0] = True
+        if first[0] <= i <= last[0] and first[1] <= j <= last[1] and first[2] <= k <= last[2]:
+            inside[i - first[0], j - first[1], k - first[2]] = True
+    out = np.empty((nx, ny, nz), dtype=np.float32)
+    line, padded = np.empty(mz, dtype=np.float32), np.empty(nz + 2 * reach, dtype=np.float32)
+    shift = first[2] - reach - z0
+    for x in range(nx):
+        for y in range(ny):
+            _fill(line, far)
+            some = False
+            for j in range(max(y + first[1] - reach, y0), min(y + first[1] + reach, y1) + 1):
+                if used[x, j - y0]:
+                    some = True
+                    _lower(line, a[x, j - y0], gap[abs(j - first[1] - y)])
+            if not some:
+                _fill(out[x, y], cap)
+                continue
+            _fill(padded, far)
+            for k in range(mz):
+                padded[k - shift] = line[k]
+            target = out[x, y]
+            _fill(target, far)
+            for d in range(-reach, reach + 1):
+                _lower(target, padded[reach + d : reach + d + nz], gap[abs(d)])
+            for k in range(nz):
+                target[k] = np.float32(-0.5) if inside[x, y, k] else np.sqrt(target[k])
+    return out
+
+
+@exact_part
+def _fill(line: NDArray[Any], value: Any) -> None:
+    for k in range(len(line)):
+        line[k] = value
+
+
+@exact_part
+def _lower(target: NDArray[Any], source: NDArray[Any], by: Any) -> None:
+    for k in range(len(target)):
+        value = source[k] + by
+        target[k] = value if value < target[k] else target[k]

@@ -1,15 +1,16 @@
-"""Keeps the robot working on the goal that disturbs the person least, replanning while it moves (P1 Alg. 1).
+"""P1's Algorithm 1: keeps the robot working on the goal that disturbs the person least, replanning while it moves.
 
-Each step takes the newest predicted occupancy, plans to every goal from where the robot will be one period
-later, and lets the best plan take over then (the one-step lag of P1 Fig. 4). Planning changes nothing:
-`plan` returns a decision, `commit` makes it so.
+`MultiGoalReplanner.respond` is one turn of the loop (docs/papers.md, P1 replanning, lines 1 to 7). Each step takes the
+newest predicted occupancy, plans to every goal from where the robot will be one period later, and lets the best plan
+take over then (the one-step lag of P1 Fig. 4). Planning changes nothing: `plan` returns a decision, `commit` makes it
+so.
 
-A goal that has been reached is kept until the person is likely to come to it. On the way, the path being executed
-is kept unless a new one is better by a margin, so that the robot does not twitch at every step, and a goal is given
-up only for one that is clearly better, so that it does not dither.
-
-Between the steps every occupancy is held against what is being executed (`respond`): a motion that has become bad
-is replanned at once, and one that would come too close to the person before a new plan can take over is stopped.
+What is added to the paper: A goal that has been reached is kept until the person is likely to come to it. On the way,
+the path being executed is kept unless a new one is better by a margin, so that the robot does not twitch at every
+step, and a goal is given up only for one that is clearly better, so that it does not go back and forth. What is
+executed has been checked between its waypoints too: against obstacles and the arm itself, and for the hard separation
+from the person. Between the steps every occupancy is compared with what is being executed: a motion that has become
+bad is replanned at once, and one that would come too close to the person before a new plan can take over is stopped.
 """
 
 from __future__ import annotations
@@ -22,22 +23,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from humanpred_ros.errors import PlanningError
-from humanpred_ros.geometry.chain import reach_m
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, MISSED, Decision
-from humanpred_ros.planning.guard import has_become_bad, stop_reason
+from humanpred_ros.planning.candidates import Candidate, plan_to_goals, ranked, report_at_goal
+from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, MISSED, REPLAN, Decision
+from humanpred_ros.planning.motion_check import SelfClearance
 from humanpred_ros.planning.person import Person
-from humanpred_ros.planning.progress import Progress
+from humanpred_ros.planning.problem import Problem
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.schedule import Schedule
-from humanpred_ros.planning.step import ReplanningStep
-from humanpred_ros.planning.timing.stopping import brake_along
-from humanpred_ros.planning.tools import Tools
-from humanpred_ros.planning.validity.goal_check import outside_limits, usable_configurations
-from humanpred_ros.planning.validity.motion_check import SelfClearance
-from humanpred_ros.planning.warm_up import warm_up
+from humanpred_ros.planning.step import State, Step
+from humanpred_ros.planning.trajectory import Schedule
+from humanpred_ros.planning.waiting import wait
 from humanpred_ros.robot.arm import Arm
 from humanpred_ros.robot.contacts import SelfCollision
 from humanpred_ros.robot.goals import Goal
@@ -50,11 +47,13 @@ __all__ = ["MultiGoalReplanner", "ReplannerConfig"]
 class MultiGoalReplanner:
     """P1's Algorithm 1 for one arm and a set of goals.
 
+    Not safe to call from several threads at once; it uses threads of its own.
+
     Attributes:
+        problem: what stays the same from step to step: arm, goals, limits, settings.
+        config, arm, chain: of the problem.
         keep_rollouts: whether `rollouts` is wanted; it is for pictures only.
         rollouts: noisy trajectories (R, N, D) of the last step's last update, by goal.
-
-    Not safe to call from several threads at once; it uses threads of its own.
     """
 
     def __init__(
@@ -82,19 +81,10 @@ class MultiGoalReplanner:
             GoalUnreachableError: for a goal all of whose configurations are outside the joint limits or not free.
         """
         self.config = config or ReplannerConfig()
-        self.arm = arm
-        self.chain = arm.chain
-        names = [goal.name for goal in goals]
-        if not names or len(set(names)) != len(names):
-            raise PlanningError(f"replanner: wanted one or more goals of different names, got {names}")
-        self.goal_names = tuple(names)
+        self.problem = Problem(arm, goals, field, self.config, self_clearance)
+        self.arm, self.chain = arm, arm.chain
         self._grid = grid
-        self._tools = tools = Tools.of_arm(arm, field, self.config, self_clearance)
-        self.weights = tools.weights
-        self.velocity_limit, self.acceleration_limit = tools.velocity_limit, tools.acceleration_limit
-        self._configurations = {goal.name: usable_configurations(goal, self._tools.checker) for goal in goals}
-        self._task_costs = {goal.name: goal.task_cost for goal in goals}
-        self._progress: Progress | None = None
+        self._state: State | None = None
         self._noise_std: FloatArray | None = None
         self.keep_rollouts = False
         self.rollouts: dict[str, Float32Array] = {}
@@ -102,14 +92,18 @@ class MultiGoalReplanner:
     @classmethod
     def for_scene(cls, scene: Scene, config: ReplannerConfig | None = None) -> MultiGoalReplanner:
         """Return the replanner of a scene's arm, goals and obstacles."""
-        arm = scene.arm
-        itself = SelfCollision.for_arm(arm).clearance
-        return cls(arm, scene.goals, scene.distance_field(), config, self_clearance=itself, grid=scene.grid)
+        itself = SelfCollision.for_arm(scene.arm).clearance
+        return cls(scene.arm, scene.goals, scene.distance_field(), config, self_clearance=itself, grid=scene.grid)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the D joints, in the order of every configuration."""
         return self.chain.joint_names
+
+    @property
+    def goal_names(self) -> tuple[str, ...]:
+        """Names of the goals, in the scene's order."""
+        return tuple(self.problem.goals)
 
     def start(self, q_start: ArrayLike, t_s: float) -> None:
         """Begin anew with the robot at rest at `q_start` (D,) from `t_s` on.
@@ -120,12 +114,12 @@ class MultiGoalReplanner:
             PlanningError: for a start that is not finite, or outside the joint limits.
         """
         q = checked("start configuration", q_start, (self.chain.n_joints,), error=PlanningError)
-        outside = outside_limits(self.chain, q)
+        outside = self.problem.outside_limits(q)
         if outside:
             raise PlanningError(f"start configuration: {outside}; is the robot reporting this arm's joints?")
-        goals = {name: q + self.arm.difference(q, goal) for name, goal in self._configurations.items()}
+        goals = {name: q + self.arm.difference(q, goal) for name, goal in self.problem.goals.items()}
         # P1 looks at the first 5 % of a motion before it plans: no step is due yet.
-        self._progress = Progress(self.config.period_s, Schedule(q, t_s), goals, last_stamp_s=t_s, last_due_s=t_s)
+        self._state = State(self.config.period_s, Schedule(q, t_s), goals, last_stamp_s=t_s, last_due_s=t_s)
 
     def set_noise(self, noise_std: ArrayLike) -> None:
         """Let the steps to come use this noise, as in `StompConfig`: one number, or one for each joint.
@@ -155,7 +149,7 @@ class MultiGoalReplanner:
         a new plan can take over, the robot stops.
 
         Args:
-            occupancy: the newest one.
+            occupancy: the newest one: lines 2 and 3 of Algorithm 1, done by whoever predicts.
             now: the time, s, where it passes while this works; the occupancy's stamp if not given. A plan that is
                 ready too late to take over is "missed".
             deadline: as in `plan`.
@@ -163,25 +157,25 @@ class MultiGoalReplanner:
         Raises:
             PlanningError: as `plan`.
         """
-        progress = self._check(occupancy)
-        now_s = occupancy.t_s if now is None else now()
-        person = self._tools.person(occupancy)
-        schedule, t_switch_s = progress.schedule, occupancy.t_s + self.config.period_s
-        # Without a goal ahead it stops already, or gets out of the way as well as it can.
-        if progress.leads_to is not None:
-            reason = stop_reason(person, schedule, now_s, t_switch_s, self.config.min_separation_m)
+        state = self._check(occupancy)
+        stamp_s, t_switch_s = occupancy.t_s, occupancy.t_s + self.config.period_s
+        now_s = stamp_s if now is None else now()
+        person = self.problem.person(occupancy)
+        # Without a goal ahead the robot stops already, or gets out of the way as well as it can.
+        if state.leads_to is not None:
+            reason = person.stop_reason(state.schedule, now_s, t_switch_s)
             if reason:
-                return replace(self.hold(now_s, reason), stamp_s=occupancy.t_s)
-        if not (progress.due(occupancy.t_s) or has_become_bad(person, schedule, occupancy.t_s, t_switch_s)):
+                return replace(self.hold(now_s, reason), stamp_s=stamp_s)
+        if not (state.due(stamp_s) or person.calls_for_replanning(state.schedule, stamp_s, t_switch_s)):
             return self.keep(occupancy)
-        decision = self._planned(progress, occupancy, person, deadline)
+        decision = self._planned(state, person, deadline)  # lines 4 to 6
         if now is not None and decision.trajectory is not None and now() >= decision.t_switch_s:
             return self.missed(decision)
-        self.commit(decision)
+        self.commit(decision)  # line 7
         return decision
 
     def plan(self, occupancy: Occupancy, deadline: Callable[[], bool] | None = None) -> Decision:
-        """Plan to every goal and choose (P1 Alg. 1); nothing changes until the decision is committed.
+        """Plan to every goal and choose (lines 4 to 6 of Algorithm 1); nothing changes until `commit`.
 
         Args:
             occupancy: predicted human occupancy; the plan takes over `period_s` after its stamp.
@@ -192,8 +186,7 @@ class MultiGoalReplanner:
             PlanningError: before `start`, for an occupancy older than the last one committed, or one of another
                 lattice than the replanner was made for.
         """
-        progress = self._check(occupancy)
-        return self._planned(progress, occupancy, self._tools.person(occupancy), deadline)
+        return self._planned(self._check(occupancy), self.problem.person(occupancy), deadline)
 
     def commit(self, decision: Decision) -> None:
         """Make a decision of `plan` so: its trajectory is executed from its switch time on.
@@ -202,30 +195,30 @@ class MultiGoalReplanner:
             PlanningError: if it does not follow from the present state (already committed, or a hold came
                 in between).
         """
-        progress = self._started()
-        if decision.step != progress.step:
+        state = self._started()
+        if decision.step != state.step:
             raise PlanningError(
-                f"replanner: wanted the decision of step {progress.step}, got that of step {decision.step}; plan again"
+                f"replanner: wanted the decision of step {state.step}, got that of step {decision.step}; plan again"
             )
-        progress.take(decision)
+        state.take(decision)
 
     def keep(self, occupancy: Occupancy) -> Decision:
         """Return the answer to an occupancy for which no step is due: whatever goes on goes on."""
-        progress = self._started()
+        state = self._started()
         action, reason = KEEP, "no replanning step is due"
-        if progress.held:
-            action, reason = HOLD, progress.held
-        elif progress.at_goal(occupancy.t_s):
-            action, reason = ARRIVED, f"at {progress.chosen}"
-        return Decision(occupancy.t_s, progress.step - 1, action, reason, progress.chosen, progress.chosen)
+        if state.held:
+            action, reason = HOLD, state.held
+        elif state.at_goal(occupancy.t_s):
+            action, reason = ARRIVED, f"at {state.chosen}"
+        return Decision(occupancy.t_s, state.step - 1, action, reason, state.chosen, state.chosen)
 
     def missed(self, decision: Decision) -> Decision:
         """Record that a decision of `plan` came too late to take over; what is being executed goes on."""
-        progress = self._started()
-        progress.count(decision.stamp_s)
+        state = self._started()
+        state.count(decision.stamp_s)
         late = f"took {decision.compute_s:.3f} s, too long to take over at {decision.t_switch_s:.3f} s"
         return replace(
-            decision, action=MISSED, reason=late, chosen=progress.chosen, previous=progress.chosen,
+            decision, action=MISSED, reason=late, chosen=state.chosen, previous=state.chosen,
             t_switch_s=float("nan"), trajectory=None,
         )  # fmt: skip
 
@@ -234,18 +227,15 @@ class MultiGoalReplanner:
 
         Further holds return no new trajectory; the next plan that is committed ends the hold.
         """
-        progress = self._started()
-        schedule = progress.schedule
+        state = self._started()
         # An arm at rest needs no stop, unless it is about to set out.
-        resting = self.at_rest(t_s) and schedule.last_from_s <= t_s
-        stop = None
-        if not (progress.held or resting):
-            stop = brake_along(schedule.at(t_s), t_s, self.acceleration_limit, self.config.sample_period_s)
+        resting = self.at_rest(t_s) and state.schedule.last_from_s <= t_s
+        stop = None if state.held or resting else self.problem.stopped(state.schedule.at(t_s), t_s)
         decision = Decision(
-            t_s, progress.step, HOLD, reason, progress.chosen, progress.chosen,
+            t_s, state.step, HOLD, reason, state.chosen, state.chosen,
             t_switch_s=float("nan") if stop is None else t_s, trajectory=stop,
         )  # fmt: skip
-        progress.stop(decision)
+        state.stop(decision)
         return decision
 
     def state_at(self, t_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -263,35 +253,31 @@ class MultiGoalReplanner:
 
     def warm_up(self) -> None:
         """Compile everything a step needs, so that the first one is no slower than the others."""
-        centre_m, _ = reach_m(self.chain, self.arm.spheres())
-        warm_up(self._tools, next(iter(self._configurations.values()))[0], centre_m)
+        self.problem.warm_up()
 
     def close(self) -> None:
         """End the threads; the replanner cannot plan any more."""
-        if self._tools.pool is not None:
-            self._tools.pool.shutdown()
+        if self.problem.pool is not None:
+            self.problem.pool.shutdown()
 
-    def _planned(
-        self, progress: Progress, occupancy: Occupancy, person: Person, deadline: Callable[[], bool] | None
-    ) -> Decision:
+    def _planned(self, state: State, person: Person, deadline: Callable[[], bool] | None) -> Decision:
         began = time.perf_counter()
-        t_switch_s = occupancy.t_s + self.config.period_s
-        situation = progress.situation(occupancy.t_s, t_switch_s, self._task_costs, self._noise_std)
-        step = ReplanningStep(self._tools, situation, person, deadline)
-        decision = step.decide()
-        self.rollouts = step.rollouts() if self.keep_rollouts else {}
+        step = Step(self.problem, state, person, self._noise_std, deadline)  # line 4: where the arm will be
+        decision = _decide(step)
+        runs = [(c.name, c.run) for c in step.candidates if c.run is not None and c.run.iterations]
+        self.rollouts = {name: run.rollouts for name, run in runs} if self.keep_rollouts else {}
         return replace(decision, compute_s=time.perf_counter() - began)
 
-    def _started(self) -> Progress:
-        if self._progress is None:
+    def _started(self) -> State:
+        if self._state is None:
             raise PlanningError("replanner: wanted start() first, which says where the robot is; call it")
-        return self._progress
+        return self._state
 
-    def _check(self, occupancy: Occupancy) -> Progress:
-        progress = self._started()
-        if not occupancy.t_s >= progress.last_stamp_s:
+    def _check(self, occupancy: Occupancy) -> State:
+        state = self._started()
+        if not occupancy.t_s >= state.last_stamp_s:
             raise PlanningError(
-                f"replanner: wanted an occupancy at {progress.last_stamp_s:.3f} s or later, got {occupancy.t_s:.3f} s; "
+                f"replanner: wanted an occupancy at {state.last_stamp_s:.3f} s or later, got {occupancy.t_s:.3f} s; "
                 "call start() when the clock jumps back"
             )
         if self._grid is not None and occupancy.grid != self._grid:
@@ -299,4 +285,45 @@ class MultiGoalReplanner:
                 f"replanner: wanted an occupancy on the scene's lattice {self._grid}, got {occupancy.grid}; "
                 "use one scene for predictor and planner"
             )
-        return progress
+        return state
+
+
+def _decide(step: Step) -> Decision:
+    """Return the decision of a step: the best path that can be executed, or what to do without one."""
+    chosen, leave = step.state.chosen, ""
+    if chosen is not None and step.state.at_goal(step.t_switch_s):
+        leave = step.person.rest_conflict(step.q)
+        if not leave:
+            arriving = step.executing.end_s > step.stamp_s
+            action, reason = (KEEP, f"about to arrive at {chosen}") if arriving else (ARRIVED, f"at {chosen}")
+            return step.decision(action, reason, chosen, reports=(report_at_goal(step, chosen),))
+    candidates = plan_to_goals(step)  # line 5
+    considered = [candidate.report for candidate in candidates if not candidate.report.set_aside]
+    if considered and all(report.iterations == 0 for report in considered) and step.late:
+        return wait(step, "the deadline left no time for a single update")
+    for candidate in ranked(step):  # line 6
+        trajectory = step.executing if candidate.executing else step.timed(candidate.report.path)
+        trouble = step.trouble(trajectory)
+        if trouble:
+            candidate.refuse(trouble)
+        elif candidate.executing:
+            return step.decision(KEEP, "no better path than the one being executed", candidate.name)
+        else:
+            return step.decision(REPLAN, _why(step, candidate, leave), candidate.name, trajectory)
+    refused = "; ".join(f"{candidate.name}: {candidate.report.obstacle_to_choice}" for candidate in candidates)
+    return wait(step, f"no path can be executed ({refused})")
+
+
+def _why(step: Step, candidate: Candidate, leave: str) -> str:
+    """Return why a goal's path is to be executed; `leave` is why the robot must leave the goal it is at."""
+    chosen, report = step.state.chosen, candidate.report
+    if chosen is None:
+        return f"{report.name} is the cheapest goal"
+    if report.name == chosen:
+        return f"a better path to {report.name}" if step.state.leads_to == chosen else f"a way to {report.name} again"
+    if leave:
+        return f"leaves {chosen}: {leave}"
+    old = next(other.report for other in step.candidates if other.name == chosen)
+    if not old.eligible:
+        return f"{chosen} cannot be worked on: {old.obstacle_to_choice}"
+    return f"{report.name} costs {report.selection_cost:.4f}, {chosen} {old.selection_cost:.4f}"

@@ -1,238 +1,177 @@
-"""One replanning step: compare a path to every goal, and turn the best into a trajectory (P1 Alg. 1).
-
-What is executed has been checked between its waypoints too: against obstacles and the arm itself, and for the hard
-separation from the person. When no goal can be worked on, the arm waits where it is, or moves aside if the person
-is likely to come there.
-"""
+"""What a replanning step starts from: the state that is carried from step to step, and the moment of the step."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-import numpy as np
+from numpy.typing import ArrayLike
 
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.planning.candidates import Candidate, Candidates, with_reason
-from humanpred_ros.planning.decision import ARRIVED, EVADE, HOLD, KEEP, REPLAN, Decision, GoalReport
-from humanpred_ros.planning.evasion import ways_aside
+from humanpred_ros.planning.decision import HOLD, REPLAN, Decision, GoalReport
 from humanpred_ros.planning.person import Person
-from humanpred_ros.planning.situation import Situation
-from humanpred_ros.planning.timing.parameterisation import time_parameterise
-from humanpred_ros.planning.timing.stopping import brake_along
-from humanpred_ros.planning.timing.trajectory import TimedTrajectory
-from humanpred_ros.planning.tools import Tools
-from humanpred_ros.stomp.costs import Float32Array
+from humanpred_ros.planning.problem import Problem
+from humanpred_ros.planning.trajectory import Schedule, TimedTrajectory
 
-#: What a timed trajectory may exceed the joint limits by, rad: corners are rounded off, and what is left of the old
-#: velocity leads off the path for a moment.
-_EXECUTION_SLACK_RAD = 0.005
-#: A new way aside must keep this much more distance than the one the robot is on, m.
-_BETTER_GAP_M = 0.02
+if TYPE_CHECKING:
+    from humanpred_ros.planning.candidates import Candidate
+
+#: Stamps count as due this much early, s: they are whole nanoseconds, periods are not.
+_DUE_TOLERANCE_S = 1e-6
 
 
-class ReplanningStep:
-    """Plans for one situation; makes a decision and changes nothing."""
+@dataclass
+class State:
+    """All that changes while the robot works.
+
+    Attributes:
+        period_s: of replanning steps.
+        schedule: what the robot executes when.
+        goals: configurations (K, D) of each goal, continuous joints unwrapped from where the robot started.
+        last_stamp_s: of the newest step.
+        last_due_s: of the newest step that was due.
+        step: number of the next step.
+        paths: path (N, D) to each goal found by the last step; empty before the first.
+        set_aside: goals that the last step did not consider, with the reason.
+        left: how often each goal has been given up for another.
+        chosen: goal being worked on; None before the first choice.
+        leads_to: goal that the trajectory being executed ends at; None while stopping or moving aside.
+        held: why the robot has been stopped; empty while it has not.
+        urgent: whether any occupancy calls for a step, after an emergency stop.
+    """
+
+    period_s: float
+    schedule: Schedule
+    goals: Mapping[str, FloatArray]
+    last_stamp_s: float
+    last_due_s: float
+    step: int = 1
+    paths: dict[str, FloatArray] = field(default_factory=dict)
+    set_aside: dict[str, str] = field(default_factory=dict)
+    left: dict[str, int] = field(default_factory=dict)
+    chosen: str | None = None
+    leads_to: str | None = None
+    held: str = ""
+    urgent: bool = False
+
+    def due(self, t_s: float) -> bool:
+        """Return whether an occupancy stamped `t_s` calls for a step."""
+        return self.urgent or self._on_time(t_s)
+
+    def at_goal(self, t_s: float) -> bool:
+        """Return whether the robot will rest at the chosen goal at `t_s`."""
+        if self.chosen is None or self.held:
+            return False
+        executing = self.schedule.at(t_s)
+        return executing.end_s <= t_s and bool((executing.q[-1] == self.goals[self.chosen]).all(axis=1).any())
+
+    def take(self, decision: Decision) -> None:
+        """Go on as a step has decided."""
+        if decision.trajectory is not None:
+            self.schedule.add(decision.t_switch_s, decision.trajectory)
+        if decision.trajectory is not None or decision.action == HOLD:
+            self.leads_to = decision.chosen if decision.action == REPLAN else None
+        self.held = decision.reason if decision.action == HOLD else ""
+        self.paths.update({report.name: report.path for report in decision.goals})
+        self.set_aside = {report.name: report.set_aside for report in decision.goals if report.set_aside}
+        if decision.switched and decision.previous is not None:
+            self.left[decision.previous] = self.left.get(decision.previous, 0) + 1
+        self.chosen = decision.chosen
+        self.count(decision.stamp_s)
+
+    def count(self, stamp_s: float) -> None:
+        """Note a step; those between two due ones, for a motion that has become bad, do not put the next one off."""
+        self.step += 1
+        self.last_stamp_s = stamp_s
+        self.urgent = False
+        if self._on_time(stamp_s):
+            self.last_due_s = stamp_s
+
+    def stop(self, decision: Decision) -> None:
+        """Note a hold, which needs no commitment."""
+        if decision.trajectory is not None:
+            self.schedule.add(decision.t_switch_s, decision.trajectory)
+            self.step += 1
+        self.held, self.leads_to = decision.reason, None
+        self.urgent = True
+
+    def _on_time(self, t_s: float) -> bool:
+        return t_s >= self.last_due_s + self.period_s - _DUE_TOLERANCE_S
+
+
+class Step:
+    """One step being made; it changes nothing of the state.
+
+    Attributes:
+        problem, state, person: the arm and its goals, what the step starts from, and the person now.
+        stamp_s, t_switch_s: stamp of the occupancy; when the step's trajectory takes over, one period later.
+        executing: the trajectory being executed at the switch if nothing changes.
+        q, v, a: (D,) position, velocity and acceleration at the switch.
+        planner, human: STOMP for this occupancy, and the cost of the person.
+        noise_std: noise of the rollouts, as in `StompConfig`; None for the configured one.
+        deadline: says True when the time is over; None for no deadline.
+        candidates: a path to each goal, in the scene's order, once planned.
+    """
 
     def __init__(
-        self, tools: Tools, situation: Situation, person: Person, deadline: Callable[[], bool] | None = None
+        self,
+        problem: Problem,
+        state: State,
+        person: Person,
+        noise_std: ArrayLike | None = None,
+        deadline: Callable[[], bool] | None = None,
     ) -> None:
-        self._tools, self._now, self._deadline = tools, situation, deadline
-        self._planner, self._human = tools.planner(person.occupancy)
-        self._person = person
-        self._q, self._v, self._a = situation.executing.sample(situation.t_switch_s)
-        self._candidates = Candidates(tools, situation, self._q, self._person, self._planner, self._human)
+        self.problem, self.state, self.person = problem, state, person
+        self.noise_std, self.deadline = noise_std, deadline
+        self.stamp_s = person.occupancy.t_s
+        self.t_switch_s = self.stamp_s + problem.config.period_s
+        self.executing = state.schedule.at(self.t_switch_s)
+        self.q, self.v, self.a = self.executing.sample(self.t_switch_s)
+        self.planner, self.human = problem.planner(person.occupancy)
+        self.candidates: list[Candidate] = []
 
-    def decide(self) -> Decision:
-        """Return the decision of this step."""
-        now = self._now
-        leave = ""
-        if now.arrived and now.chosen is not None:
-            leave = self._person.comes_to(self._q)
-            if not leave:
-                report = self._candidates.arrived(now.chosen)
-                if now.executing.end_s > now.stamp_s:
-                    return self._decision(KEEP, f"about to arrive at {now.chosen}", now.chosen, (report,))
-                return self._decision(ARRIVED, f"at {now.chosen}", now.chosen, (report,))
-        candidates = list(self._candidates.plan(self._deadline))
-        considered = [c.report for c in candidates if not c.report.set_aside]
-        if considered and all(report.iterations == 0 for report in considered) and self._late():
-            return self._wait("the deadline left no time for a single update", candidates)
-        for k in self._ranking(candidates):
-            candidate = candidates[k]
-            if candidate.executing:
-                trouble = self._trouble(now.executing)
-                if not trouble:
-                    reports = _reports(candidates)
-                    return self._decision(
-                        KEEP, "no better path than the one being executed", candidate.report.name, reports
-                    )
-            else:
-                trajectory = self._timed(candidate.report.path)
-                trouble = self._trouble(trajectory)
-                if not trouble:
-                    reports = _reports(candidates)
-                    reason = self._why(candidate.report, candidates, leave)
-                    return self._decision(REPLAN, reason, candidate.report.name, reports, trajectory)
-            candidates[k] = with_reason(candidate, trouble)
-        refused = "; ".join(f"{c.report.name}: {c.report.obstacle_to_choice}" for c in candidates)
-        return self._wait(f"no path can be executed ({refused})", candidates)
+    @property
+    def late(self) -> bool:
+        """Whether the deadline has passed."""
+        return self.deadline is not None and self.deadline()
 
-    def rollouts(self) -> dict[str, Float32Array]:
-        """Return the noisy trajectories (R, N, D) of each goal's last update, for pictures."""
-        return self._candidates.rollouts()
+    @property
+    def moving_aside(self) -> bool:
+        """Whether the robot is on its way out of the person's way at the switch."""
+        return self.state.leads_to is None and not self.state.held and self.executing.end_s > self.t_switch_s
 
-    def _late(self) -> bool:
-        return self._deadline is not None and self._deadline()
+    def timed(self, path: FloatArray) -> TimedTrajectory:
+        """Return a trajectory along a path (N, D) that takes over at the switch."""
+        return self.problem.timed(path, self.v, self.a, self.t_switch_s)
 
-    def _ranking(self, candidates: Sequence[Candidate]) -> list[int]:
-        """Return the eligible candidates, best first; the goal being worked on goes first unless clearly beaten."""
-        cfg, now = self._tools.config, self._now
-        order = [k for k, candidate in enumerate(candidates) if candidate.report.eligible]
-        order.sort(key=lambda k: candidates[k].report.selection_cost)
-        present = next((k for k in order if candidates[k].report.name == now.chosen), None)
-        if present is None or order[0] == present:
-            return order
-        cost = candidates[present].report.selection_cost
-        beaten = []
-        for k in order[: order.index(present)]:
-            other = candidates[k].report
-            margin = cfg.switch_cost * (1 + now.left.get(other.name, 0))
-            if other.selection_cost < (1.0 - cfg.switch_improvement) * cost - margin:
-                beaten.append(k)
-        return beaten + [present] + [k for k in order if k != present and k not in beaten]
-
-    def _wait(self, reason: str, candidates: Sequence[Candidate]) -> Decision:
-        """Go on with what is being executed if it still can be; else wait, aside if the person comes here."""
-        now, reports = self._now, _reports(candidates)
-        if now.leads_to is not None and now.executing.end_s > now.t_switch_s and not self._gone_bad():
-            return self._decision(KEEP, reason + "; what is being executed still can", now.chosen, reports)
-        stop = self._stop()
-        end = self._q if stop is None else stop.q[-1]
-        comes = self._person.comes_to(end)
-        aside = now.leads_to is None and not now.held and now.executing.end_s > now.t_switch_s
-        runs_into = (
-            "" if stop is None or self._far_enough(stop) else "stopping alone would come too close to the person"
-        )
-        if not (comes or runs_into or aside):
-            return self._decision(HOLD, reason, now.chosen, reports, stop)
-        why = comes or runs_into
-        trajectory = self._way_aside(None if comes else stop)
-        if trajectory is None or trajectory is stop:
-            return self._decision(HOLD, f"{why or 'nowhere to go'}; {reason}", now.chosen, reports, stop)
-        if trajectory is now.executing:
-            return self._decision(KEEP, f"on its way aside; {reason}", now.chosen, reports)
-        return self._decision(EVADE, f"{why or 'a better way aside'}; {reason}", now.chosen, reports, trajectory)
-
-    def _far_enough(self, trajectory: TimedTrajectory) -> bool:
-        gap = self._person.least_gap_m(trajectory, self._now.t_switch_s)
-        return gap >= self._tools.config.min_separation_m
-
-    def _gone_bad(self) -> bool:
-        """Return whether what is being executed should not go on: it is not free, or the person comes to its end."""
-        executing = self._now.executing
-        return bool(self._trouble(executing) or self._person.comes_to(executing.q[-1]))
-
-    def _way_aside(self, stop: TimedTrajectory | None) -> TimedTrajectory | None:
-        """Return the way out of the person's way that keeps the largest distance from them, up to the separation.
-
-        If the robot is on such a way already, or could simply `stop`, that is what it does unless another keeps a
-        clearly larger one.
-        """
-        now, tools = self._now, self._tools
-        known = np.concatenate(list(now.goals.values()))
-        rng = np.random.default_rng(np.random.SeedSequence((tools.config.seed, now.step, len(now.goals))))
-        best: TimedTrajectory | None = None
-        best_gap = -np.inf
-        wanted = tools.config.min_separation_m
-        aside = now.leads_to is None and not now.held and now.executing.end_s > now.t_switch_s
-        if aside and not (self._person.comes_to(now.executing.q[-1]) or self._static_trouble(now.executing)):
-            best = now.executing
-        elif stop is not None:
-            best = stop
-        if best is not None:
-            best_gap = self._person.least_gap_m(best, now.t_switch_s) + _BETTER_GAP_M
-        for path in ways_aside(tools, self._person, self._human, self._q, known, rng):
-            if best_gap >= wanted:
-                break
-            trajectory = self._timed(path)
-            gap = self._person.least_gap_m(trajectory, now.t_switch_s)
-            if gap > best_gap and not self._static_trouble(trajectory):
-                best, best_gap = trajectory, gap
-        return best
-
-    def _why(self, report: GoalReport, candidates: Sequence[Candidate], leave: str) -> str:
-        chosen = self._now.chosen
-        if chosen is None:
-            return f"{report.name} is the cheapest goal"
-        if report.name == chosen:
-            return (
-                f"a better path to {report.name}" if self._now.leads_to == chosen else f"a way to {report.name} again"
-            )
-        old = next(c.report for c in candidates if c.report.name == chosen)
-        if leave:
-            return f"leaves {chosen}: {leave}"
-        if not old.eligible:
-            return f"{chosen} is out of the question: {old.obstacle_to_choice}"
-        return f"{report.name} costs {report.selection_cost:.4f}, {chosen} {old.selection_cost:.4f}"
-
-    def _timed(self, path: FloatArray) -> TimedTrajectory:
-        tools = self._tools
-        return time_parameterise(
-            path,
-            tools.velocity_limit,
-            tools.acceleration_limit,
-            self._v,
-            self._a,
-            tools.config.sample_period_s,
-            self._now.t_switch_s,
-        )
-
-    def _stop(self) -> TimedTrajectory | None:
-        """Return a stop from the switch on; None if the robot is stopping or rests anyway."""
-        now, tools = self._now, self._tools
-        if now.held or not (self._v.any() or self._a.any()):
-            return None
-        return brake_along(now.executing, now.t_switch_s, tools.acceleration_limit, tools.config.sample_period_s)
-
-    def _trouble(self, trajectory: TimedTrajectory) -> str:
+    def trouble(self, trajectory: TimedTrajectory) -> str:
         """Return why a trajectory cannot be executed from the switch on; empty if it can."""
-        trouble = self._static_trouble(trajectory)
-        if trouble:
-            return trouble
-        person = self._person.in_the_way(trajectory, self._now.t_switch_s)
-        if person is not None:
-            return f"its trajectory comes too close to the person: {person}"
-        return self._person.on_the_way(trajectory, self._now.t_switch_s)
+        not_free = self.problem.not_free(trajectory, self.t_switch_s)
+        if not_free:
+            return not_free
+        conflict = self.person.conflict(trajectory, self.t_switch_s)
+        if conflict is not None:
+            return f"its trajectory comes too close to the person: {conflict}"
+        return self.person.crossing(trajectory, self.t_switch_s)
 
-    def _static_trouble(self, trajectory: TimedTrajectory) -> str:
-        chain, begin_s = self._tools.chain, self._now.t_switch_s
-        q = trajectory.q[trajectory.t_s >= begin_s]
-        if ((q < chain.lower - _EXECUTION_SLACK_RAD) | (q > chain.upper + _EXECUTION_SLACK_RAD)).any():
-            return "its trajectory leaves the joint limits"
-        trouble = self._tools.checker.first_trouble(trajectory, begin_s)
-        return "" if trouble is None else f"its trajectory is not free: {trouble}"
-
-    def _decision(
+    def decision(
         self,
         action: str,
         reason: str,
         chosen: str | None,
-        reports: tuple[GoalReport, ...],
         trajectory: TimedTrajectory | None = None,
+        reports: tuple[GoalReport, ...] | None = None,
     ) -> Decision:
-        now = self._now
+        """Return a decision of this step; with the candidates' reports if no others are given."""
         return Decision(
-            stamp_s=now.stamp_s,
-            step=now.step,
+            stamp_s=self.stamp_s,
+            step=self.state.step,
             action=action,
             reason=reason,
             chosen=chosen,
-            previous=now.chosen,
-            goals=reports,
-            t_switch_s=float("nan") if trajectory is None else now.t_switch_s,
+            previous=self.state.chosen,
+            goals=tuple(candidate.report for candidate in self.candidates) if reports is None else reports,
+            t_switch_s=float("nan") if trajectory is None else self.t_switch_s,
             trajectory=trajectory,
         )
-
-
-def _reports(candidates: Sequence[Candidate]) -> tuple[GoalReport, ...]:
-    return tuple(candidate.report for candidate in candidates)

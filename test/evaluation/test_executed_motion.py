@@ -11,10 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from humanpred_ros.evaluation.run_figures import ExecutedMotion, goal_reached
-from humanpred_ros.planning.schedule import Schedule
-from humanpred_ros.planning.timing.parameterisation import time_parameterise
-from humanpred_ros.planning.timing.path import straight
-from humanpred_ros.planning.timing.trajectory import TimedTrajectory, at_rest
+from humanpred_ros.planning.path import straight
+from humanpred_ros.planning.time_parameterisation import time_parameterise
+from humanpred_ros.planning.trajectory import Schedule, TimedTrajectory, at_rest
 from humanpred_ros.robot.scene import load_scene
 
 

@@ -15,9 +15,9 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
+from humanpred_ros.planning.path import straight
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.timing.path import straight
-from humanpred_ros.planning.timing.trajectory import TimedTrajectory
+from humanpred_ros.planning.trajectory import TimedTrajectory
 from humanpred_ros.robot.scene import Scene, load_scene
 from humanpred_ros.stomp.costs import POINTS_OF_P1, HumanOccupancyCost
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from humanpred_ros.errors import ArrayError, PlanningError
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.planning.timing.controller_checks import controller_refusal
-from humanpred_ros.planning.timing.parameterisation import time_parameterise
-from humanpred_ros.planning.timing.trajectory import TimedTrajectory
+from humanpred_ros.nodes.controller_checks import controller_refusal
+from humanpred_ros.planning.time_parameterisation import time_parameterise
+from humanpred_ros.planning.trajectory import TimedTrajectory
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
 from humanpred_ros.nodes import conversions

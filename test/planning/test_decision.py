@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from humanpred_ros.planning.decision import Decision, GoalReport
-from humanpred_ros.planning.timing.trajectory import at_rest
+from humanpred_ros.planning.trajectory import at_rest
 
 
 def report(name: str = "red", cost: float = 1.0, valid: bool = True) -> GoalReport:
@@ -82,7 +82,7 @@ def test_the_margin_is_to_the_next_goal_that_could_have_been_chosen() -> None:
     assert decision(goals=goals).margin == 3.0
     assert decision(goals=goals, chosen="green").margin == -3.0  # habit decided
     assert np.isnan(decision().margin)
-    assert np.isnan(decision(goals=(replace(report("red"), set_aside="hopeless"), report("green"))).margin)
+    assert np.isnan(decision(goals=(replace(report("red"), set_aside="far too expensive"), report("green"))).margin)
 
 
 def test_it_explains_itself_in_one_line() -> None:

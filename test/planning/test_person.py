@@ -8,11 +8,11 @@ from planning_worlds import PLANE, free_space, planar_arm, somebody_at
 
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy
+from humanpred_ros.planning.motion_check import MotionChecker
 from humanpred_ros.planning.person import Person
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.timing.parameterisation import time_parameterise
-from humanpred_ros.planning.timing.trajectory import TimedTrajectory
-from humanpred_ros.planning.validity.motion_check import MotionChecker
+from humanpred_ros.planning.time_parameterisation import time_parameterise
+from humanpred_ros.planning.trajectory import TimedTrajectory
 
 ARM = planar_arm()
 CHECKER = MotionChecker(ARM.chain, ARM.spheres(), free_space())
@@ -33,26 +33,24 @@ def at(angle: float, radius_m: float = 0.7, **kind: float) -> Occupancy:
 
 
 @pytest.mark.parametrize(
-    ("probability", "in_the_way", "on_the_way"), [(1.0, True, True), (0.5, False, True), (0.2, False, False)]
+    ("probability", "conflicts", "crosses"), [(1.0, True, True), (0.5, False, True), (0.2, False, False)]
 )
-def test_what_is_certain_blocks_and_what_is_likely_warns(
-    probability: float, in_the_way: bool, on_the_way: bool
-) -> None:
+def test_what_is_certain_blocks_and_what_is_likely_warns(probability: float, conflicts: bool, crosses: bool) -> None:
     subject = person(at(0.6, probability=probability))
-    assert (subject.in_the_way(sweep(), 0.0) is not None) == in_the_way
-    assert bool(subject.on_the_way(sweep(), 0.0)) == on_the_way
+    assert (subject.conflict(sweep(), 0.0) is not None) == conflicts
+    assert bool(subject.crossing(sweep(), 0.0)) == crosses
     # Beyond the end of the movement nothing is crossed.
     aside = person(at(2.0, probability=probability))
-    assert aside.in_the_way(sweep(), 0.0) is None
-    assert not aside.on_the_way(sweep(), 0.0)
+    assert aside.conflict(sweep(), 0.0) is None
+    assert not aside.crossing(sweep(), 0.0)
 
 
 def test_only_what_is_still_to_come_counts() -> None:
     subject, trajectory = person(at(0.3, probability=1.0)), sweep()
-    assert subject.in_the_way(trajectory, 0.0) is not None
+    assert subject.conflict(trajectory, 0.0) is not None
     late_s = trajectory.start_s + 0.8 * trajectory.duration_s
-    assert subject.in_the_way(trajectory, late_s) is None
-    assert not subject.on_the_way(trajectory, late_s)
+    assert subject.conflict(trajectory, late_s) is None
+    assert not subject.crossing(trajectory, late_s)
 
 
 def test_distances_are_those_to_the_voxels() -> None:
@@ -61,30 +59,30 @@ def test_distances_are_those_to_the_voxels() -> None:
     probability[flat] = 1.0
     subject = person(Occupancy(PLANE, probability.reshape(PLANE.shape)), min_separation_m=0.2)
     # A straight arm of 3 cm radius at y = 0; the voxel's near face is at y = 0.4.
-    gap = float(subject.gap_m(STRAIGHT[None])[0])
+    gap = float(subject.certain_gap_m(STRAIGHT[None])[0])
     assert gap == pytest.approx(0.4 - 0.03, abs=0.03)
-    assert float(subject.clearance_m(STRAIGHT[None])[0]) == gap
+    assert float(subject.likely_gap_m(STRAIGHT[None])[0]) == gap
     assert subject.least_gap_m(sweep(), 0.0) < 0.02
 
 
 def test_an_arm_does_not_rest_where_the_person_is_likely_to_come() -> None:
     subject = person(at(0.0, probability=0.4))
-    assert "the person is likely (p >= 0.3) to come within 0.0" in subject.comes_to(STRAIGHT)
-    assert subject.comes_to(TURNED) == ""
-    assert person(at(0.0, probability=0.4), likely_probability=0.5).comes_to(STRAIGHT) == ""
+    assert "the person is likely (p >= 0.3) to come within 0.0" in subject.rest_conflict(STRAIGHT)
+    assert subject.rest_conflict(TURNED) == ""
+    assert person(at(0.0, probability=0.4), likely_probability=0.5).rest_conflict(STRAIGHT) == ""
 
 
 def test_an_arm_in_a_likely_place_may_leave_it_but_not_go_deeper() -> None:
     subject = person(somebody_at(0.6, 0.1, radius_m=0.12, probability=0.5))
-    assert subject.comes_to(STRAIGHT)
-    assert subject.on_the_way(sweep(STRAIGHT, -TURNED), 0.0) == ""
-    assert subject.on_the_way(sweep(STRAIGHT, TURNED), 0.0)
+    assert subject.rest_conflict(STRAIGHT)
+    assert subject.crossing(sweep(STRAIGHT, -TURNED), 0.0) == ""
+    assert subject.crossing(sweep(STRAIGHT, TURNED), 0.0)
 
 
 def test_without_a_separation_nothing_is_forbidden() -> None:
     subject = person(at(0.3, probability=1.0), min_separation_m=0.0)
-    assert subject.in_the_way(sweep(), 0.0) is None
-    assert subject.on_the_way(sweep(), 0.0) == ""
-    assert subject.comes_to(STRAIGHT) == ""
-    assert np.isinf(subject.clearance_m(STRAIGHT[None])).all()
+    assert subject.conflict(sweep(), 0.0) is None
+    assert subject.crossing(sweep(), 0.0) == ""
+    assert subject.rest_conflict(STRAIGHT) == ""
+    assert np.isinf(subject.likely_gap_m(STRAIGHT[None])).all()
     assert np.isinf(subject.least_gap_m(sweep(), 0.0))

@@ -11,10 +11,10 @@ from planning_worlds import planar_arm
 
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.lattice import VoxelGrid
-from humanpred_ros.planning.person_distance import OVERSTATED_VOXELS, PersonDistance
-from humanpred_ros.planning.timing.parameterisation import time_parameterise
-from humanpred_ros.planning.timing.path import straight
-from humanpred_ros.planning.validity.motion_check import MotionChecker
+from humanpred_ros.planning.motion_check import MotionChecker
+from humanpred_ros.planning.path import straight
+from humanpred_ros.planning.person import OVERSTATED_VOXELS, PersonDistance
+from humanpred_ros.planning.time_parameterisation import time_parameterise
 
 GRID = VoxelGrid((-1.0, -0.6, 0.2), 0.1, (20, 14, 11))
 SEEDS = st.integers(0, 2**32 - 1)

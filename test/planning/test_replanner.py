@@ -13,7 +13,7 @@ from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.planning.decision import Decision
 from humanpred_ros.planning.replanner import MultiGoalReplanner
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.timing.trajectory import LIMIT_TOLERANCE
+from humanpred_ros.planning.trajectory import LIMIT_TOLERANCE
 from humanpred_ros.robot.goals import Goal
 from humanpred_ros.stomp.config import StompConfig
 from humanpred_ros.stomp.planner import TURN
@@ -118,8 +118,8 @@ def test_the_robot_never_jumps_and_keeps_its_limits(seed: int) -> None:
                 np.testing.assert_allclose(begins, was, atol=1e-9)
     states = [subject.state_at(t) for t in np.arange(0.3, 4.0, 0.005)]
     v, a = np.array([s[1] for s in states]), np.array([s[2] for s in states])
-    assert (np.abs(v) <= subject.velocity_limit * (1.0 + LIMIT_TOLERANCE)).all()
-    assert (np.abs(a) <= subject.acceleration_limit * (1.0 + 2.0 * LIMIT_TOLERANCE)).all()
+    assert (np.abs(v) <= subject.problem.velocity_limit * (1.0 + LIMIT_TOLERANCE)).all()
+    assert (np.abs(a) <= subject.problem.acceleration_limit * (1.0 + 2.0 * LIMIT_TOLERANCE)).all()
 
 
 def test_it_arrives_and_stays() -> None:
@@ -259,12 +259,12 @@ def test_goals_share_the_time_there_is() -> None:
         assert max(done) - min(done) <= 2 * TURN
 
 
-def test_a_hopeless_goal_is_set_aside_with_a_reason_and_comes_back() -> None:
+def test_a_far_too_expensive_goal_is_set_aside_with_a_reason_and_comes_back() -> None:
     keen = CONFIG.replaced(prune_after=3, prune_factor=1.5, prune_cost=0.0, min_separation_m=0.0, min_improvement=0.0)
     subject = replanner(keen)
     decisions = steps(subject, [lambda t: on_the_way_to("left", t, 0.9), nobody])
     left, right = (decisions[0].report(name) for name in ("left", "right"))
-    assert left.set_aside.startswith("hopeless: costs")
+    assert left.set_aside.startswith("far too expensive: costs")
     assert "right" in left.set_aside
     assert (left.iterations, right.iterations) == (3, 15)
     again = decisions[1].report("left")

@@ -23,7 +23,7 @@ from stomp_oracle import (
 
 from humanpred_ros.geometry.chain import BodyPoints, KinematicChain
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.planning.timing.path import straight
+from humanpred_ros.planning.path import straight
 from humanpred_ros.stomp.config import StompConfig
 from humanpred_ros.stomp.costs import (
     CostTerm,

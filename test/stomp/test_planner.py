@@ -13,7 +13,7 @@ from planning_worlds import field_around, random_chain, random_points, random_sp
 
 from humanpred_ros.errors import ArrayError, PlanningError, SettingsError
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.planning.timing.path import straight
+from humanpred_ros.planning.path import straight
 from humanpred_ros.stomp.config import StompConfig
 from humanpred_ros.stomp.costs import (
     CostTerm,

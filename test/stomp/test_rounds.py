@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from humanpred_ros.planning.timing.path import straight
+from humanpred_ros.planning.path import straight
 from humanpred_ros.stomp.config import StompConfig
 from humanpred_ros.stomp.costs import SmoothnessCost
 from humanpred_ros.stomp.planner import TURN, StompPlanner, StompRun, advance_all

@@ -17,7 +17,7 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.distance_field import SignedDistanceField, build_distance_field
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
-from humanpred_ros.planning.timing.path import straight
+from humanpred_ros.planning.path import straight
 from humanpred_ros.robot.pr2 import BODY_POINT_SPACING_M, Pr2Arm
 from humanpred_ros.robot.scene import Scene, load_scene
 from humanpred_ros.stomp.config import StompConfig

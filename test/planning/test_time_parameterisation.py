@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from humanpred_ros.errors import PlanningError
-from humanpred_ros.planning.timing.parameterisation import time_parameterise
-from humanpred_ros.planning.timing.path import path_parameter, straight
-from humanpred_ros.planning.timing.stopping import brake_along, stop_trajectory
-from humanpred_ros.planning.timing.trajectory import LIMIT_TOLERANCE, TimedTrajectory, at_rest
+from humanpred_ros.planning.path import path_parameter, straight
+from humanpred_ros.planning.stopping import brake_along, stop_trajectory
+from humanpred_ros.planning.time_parameterisation import time_parameterise
+from humanpred_ros.planning.trajectory import LIMIT_TOLERANCE, TimedTrajectory, at_rest
 
 V = np.array([2.088, 2.082, 3.27, 3.3, 3.6, 3.078, 3.6]) * 0.5
 A = np.array([4.0, 4.0, 3.0, 5.0, 6.0, 2.0, 4.0])

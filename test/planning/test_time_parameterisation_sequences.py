@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from planning_paths import BOX, A, V, a_path
 
-from humanpred_ros.planning.timing.parameterisation import time_parameterise
-from humanpred_ros.planning.timing.stopping import brake_along, stop_trajectory
-from humanpred_ros.planning.timing.trajectory import LIMIT_TOLERANCE, TimedTrajectory, at_rest
+from humanpred_ros.planning.stopping import brake_along, stop_trajectory
+from humanpred_ros.planning.time_parameterisation import time_parameterise
+from humanpred_ros.planning.trajectory import LIMIT_TOLERANCE, TimedTrajectory, at_rest
 
 SEEDS = st.integers(0, 2**32 - 1)
 #: What a joint may leave the box of its paths by: it cannot stop at once. 1.5 v² / a is a stop of every joint for

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from planning_worlds import field_around, nobody, planar_arm, somebody_at
 
 from humanpred_ros.errors import PlanningError
-from humanpred_ros.planning.reconnection import reconnect
-from humanpred_ros.planning.timing.path import path_parameter, straight
+from humanpred_ros.planning.path import path_parameter, reconnect, straight
 from humanpred_ros.stomp.costs import CostTerm, HumanOccupancyCost, ObstacleCost
 
 ARM = planar_arm()
@@ -38,7 +37,7 @@ def test_it_begins_at_the_robot_and_ends_at_the_goal(seed: int, step: float) -> 
     rng = np.random.default_rng(seed)
     old = rng.normal(0.0, 0.1, (40, 3)).cumsum(axis=0)
     q = rng.normal(size=3)
-    joined = reconnect(q, old, [FREE], WEIGHTS, step, 50)
+    joined = reconnect(q, old, [FREE], FREE, WEIGHTS, step, 50)
     assert joined.path.shape == (50, 3)
     assert np.array_equal(joined.path[0], q)
     assert np.array_equal(joined.path[-1], old[-1])
@@ -47,7 +46,7 @@ def test_it_begins_at_the_robot_and_ends_at_the_goal(seed: int, step: float) -> 
 
 def test_where_nothing_costs_a_detour_is_cut_off_entirely() -> None:
     detour = np.concatenate([straight([0, 0, 0], [0.5, 0.8, 0], 30), straight([0.5, 0.8, 0], [1, 0, 0], 30)])
-    joined = reconnect(detour[5], detour, [FREE], WEIGHTS, 0.01, 40)
+    joined = reconnect(detour[5], detour, [FREE], FREE, WEIGHTS, 0.01, 40)
     assert joined.kind == "cheaper"
     assert joined.parameter == pytest.approx(path_parameter(detour, WEIGHTS)[-1])
     np.testing.assert_allclose(joined.path, straight(detour[5], detour[-1], 40), atol=1e-9)
@@ -60,7 +59,7 @@ def test_a_detour_round_a_person_is_kept() -> None:
     folded = np.array([0.0, 2.5, 0.5])
     corners = np.array([a, folded, folded + np.array([1.9, 0.0, 0.0]), b])
     detour = np.concatenate([straight(p, r, 40) for p, r in pairwise(corners)])
-    joined = reconnect(detour[4], detour, [person], WEIGHTS, 0.02, 100)
+    joined = reconnect(detour[4], detour, [person], person, WEIGHTS, 0.02, 100)
     direct = person.costs(straight(detour[4], b, 100)[None]).sum()
     assert person.costs(joined.path[None]).sum() < 0.5 * direct
     assert joined.parameter < path_parameter(detour, WEIGHTS)[-1]
@@ -69,7 +68,7 @@ def test_a_detour_round_a_person_is_kept() -> None:
 def test_if_no_segment_pays_the_closest_place_is_taken() -> None:
     old = straight([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], 50)
     aside = np.array([-0.3, 0.0, 0.0])  # every way back is longer than what it replaces
-    joined = reconnect(aside, old, [FREE], WEIGHTS, 0.01, 30)
+    joined = reconnect(aside, old, [FREE], FREE, WEIGHTS, 0.01, 30)
     assert joined.kind == "closest"
     assert joined.parameter == 0.0
 
@@ -77,12 +76,12 @@ def test_if_no_segment_pays_the_closest_place_is_taken() -> None:
 def test_segments_through_something_forbidden_are_not_taken() -> None:
     wall = Never(above=0.5)
     over = np.concatenate([straight([0, 0, 0], [0.4, 0.5, 0], 30), straight([0.4, 0.5, 0], [1.0, 0.5, 0], 30)])
-    joined = reconnect(over[2], over, [FREE, wall], WEIGHTS, 0.01, 60)
+    joined = reconnect(over[2], over, [FREE, wall], FREE, WEIGHTS, 0.01, 60)
     assert joined.kind in ("cheaper", "closest")
     landing = np.argmin(np.abs(path_parameter(over, WEIGHTS) - joined.parameter))
     assert over[landing, 0] <= 0.52
     everything = Never(above=-9.0)
-    assert reconnect(over[2], over, [FREE, everything], WEIGHTS, 0.01, 60).kind == "blocked"
+    assert reconnect(over[2], over, [FREE, everything], FREE, WEIGHTS, 0.01, 60).kind == "blocked"
 
 
 def test_obstacles_count() -> None:
@@ -94,7 +93,7 @@ def test_obstacles_count() -> None:
     direct = straight(detour[3], detour[-1], 120)
     assert obstacle.valid(detour[None]).all()
     assert not obstacle.valid(direct[None]).all()
-    joined = reconnect(detour[3], detour, [FREE, obstacle], WEIGHTS, 0.02, 120)
+    joined = reconnect(detour[3], detour, [FREE, obstacle], FREE, WEIGHTS, 0.02, 120)
     assert obstacle.valid(joined.path[None]).all()
     assert joined.parameter < path_parameter(detour, WEIGHTS)[-1]
 
@@ -102,6 +101,6 @@ def test_obstacles_count() -> None:
 def test_what_does_not_fit_is_refused() -> None:
     old = straight([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], 5)
     with pytest.raises(PlanningError, match="reconnect"):
-        reconnect([0.0, 0.0], old, [FREE], WEIGHTS)
+        reconnect([0.0, 0.0], old, [FREE], FREE, WEIGHTS)
     with pytest.raises(PlanningError, match="step > 0"):
-        reconnect([0.0, 0.0, 0.0], old, [FREE], WEIGHTS, step=0.0)
+        reconnect([0.0, 0.0, 0.0], old, [FREE], FREE, WEIGHTS, step=0.0)

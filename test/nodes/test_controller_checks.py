@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from humanpred_ros.planning.timing.controller_checks import REST_VELOCITY, controller_refusal
-from humanpred_ros.planning.timing.parameterisation import time_parameterise
-from humanpred_ros.planning.timing.path import straight
+from humanpred_ros.nodes.controller_checks import REST_VELOCITY, controller_refusal
+from humanpred_ros.planning.path import straight
+from humanpred_ros.planning.time_parameterisation import time_parameterise
 
 NAMES = ("shoulder", "elbow")
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from humanpred_ros.errors import PlanningError
-from humanpred_ros.planning.schedule import Schedule
-from humanpred_ros.planning.timing.trajectory import at_rest
+from humanpred_ros.planning.trajectory import Schedule, at_rest
 
 
 def place(schedule: Schedule, t_s: float) -> float:

@@ -13,10 +13,10 @@ from planning_worlds import ANY, field_around, planar_arm, random_chain, random_
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.chain import BodySpheres, KinematicChain
 from humanpred_ros.geometry.distance_field import SignedDistanceField
-from humanpred_ros.planning.timing.parameterisation import time_parameterise
-from humanpred_ros.planning.timing.path import straight
-from humanpred_ros.planning.timing.trajectory import TimedTrajectory, at_rest
-from humanpred_ros.planning.validity.motion_check import MotionChecker, lever_arms_m
+from humanpred_ros.planning.motion_check import MotionChecker, lever_arms_m
+from humanpred_ros.planning.path import straight
+from humanpred_ros.planning.time_parameterisation import time_parameterise
+from humanpred_ros.planning.trajectory import TimedTrajectory, at_rest
 from humanpred_ros.robot.scene import load_scene
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from humanpred_ros.planning.timing.path import path_integral, path_parameter, point_at, resampled, straight
+from humanpred_ros.planning.path import path_integral, path_parameter, point_at, resampled, straight
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -15,15 +15,66 @@ from numpy.typing import ArrayLike
 
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.checks import FloatArray, checked
-from humanpred_ros.planning.timing import speed_profile
-from humanpred_ros.planning.timing.averaged_profile import SMOOTHING_S, AveragedProfile, Begin
-from humanpred_ros.planning.timing.coming_to_rest import ComingToRest
-from humanpred_ros.planning.timing.limit_use import MOMENTS, limit_use
-from humanpred_ros.planning.timing.path import path_parameter
-from humanpred_ros.planning.timing.path_limits import USED_A, USED_A_AT_MOST, USED_V, PathLimits, State
-from humanpred_ros.planning.timing.smooth_path import NODES, SmoothPath, smooth_path
-from humanpred_ros.planning.timing.stopping import stop_trajectory
-from humanpred_ros.planning.timing.trajectory import LIMIT_TOLERANCE, TimedTrajectory, at_rest
+from humanpred_ros.planning.path import NODES, SmoothPath, path_parameter, smooth_path
+from humanpred_ros.planning.speed_profile import SMOOTHING_S, AveragedProfile, Begin, controllable, fastest
+from humanpred_ros.planning.stopping import ComingToRest, stop_trajectory
+from humanpred_ros.planning.trajectory import LIMIT_TOLERANCE, MOMENTS, TimedTrajectory, at_rest, limit_use
+
+#: Shares of the limits that planned motion uses; the rest is for rounding off and interpolating.
+USED_V, USED_A = 0.98, 0.95
+#: Share of the acceleration limit used where the path could not be entered as fast as the robot moves otherwise:
+#: what brakes already with the usual share needs it, and a little more for rounding.
+USED_A_AT_MOST = 0.985
+
+
+@dataclass(frozen=True)
+class State:
+    """State at the switch and limits, each (D,)."""
+
+    v: FloatArray
+    a: FloatArray
+    v_limit: FloatArray
+    a_limit: FloatArray
+
+
+@dataclass
+class PathLimits:
+    """Limits (NODES, D) that the path may use at each node."""
+
+    v_low: FloatArray
+    v_high: FloatArray
+    a_low: FloatArray
+    a_high: FloatArray
+
+    @classmethod
+    def beside(
+        cls,
+        fading: ComingToRest | None,
+        state: State,
+        node_t_s: FloatArray,
+        slower: FloatArray,
+        used_a: float = USED_A,
+    ) -> PathLimits:
+        """Return what a fading leftover leaves of the limits, if nodes are passed at `node_t_s`."""
+        a_limit = used_a * state.a_limit * slower[:, None]
+        # A speed that is within the limits may be kept at first.
+        lasts = fading.duration_s + SMOOTHING_S if fading else 0.0
+        share = np.where(node_t_s <= lasts, 1.0, USED_V)
+        v_limit = (share * np.sqrt(slower))[:, None] * state.v_limit
+        if fading is None:
+            return cls(-v_limit, v_limit, -a_limit, a_limit)
+        # What the path does at a node is averaged over the time after it.
+        moments = np.stack([node_t_s + part * SMOOTHING_S for part in (0.0, 0.5, 1.0)])
+        _, v, a = fading.at(moments.ravel())
+        v, a = v.reshape(3, *a_limit.shape), a.reshape(3, *a_limit.shape)
+        some_v, some_a = 0.05 * v_limit, 0.03 * state.a_limit
+        return cls(
+            np.minimum(-v_limit - v.min(axis=0), -some_v),
+            np.maximum(v_limit - v.max(axis=0), some_v),
+            np.minimum(-a_limit - a.min(axis=0), -some_a),
+            np.maximum(a_limit - a.max(axis=0), some_a),
+        )
+
 
 _DS = 1.0 / (NODES - 1)
 #: Paths shorter than this lead nowhere, rad.
@@ -233,11 +284,9 @@ def _leftover(
 
 def _solve(d1: FloatArray, d2: FloatArray, bounds: PathLimits, wish: Begin) -> tuple[AveragedProfile, Begin]:
     """Return the fastest profile under limits per node, and how it begins: as wished or more slowly."""
-    best = speed_profile.controllable(d1, d2, bounds.v_low, bounds.v_high, bounds.a_low, bounds.a_high, _DS)
+    best = controllable(d1, d2, bounds.v_low, bounds.v_high, bounds.a_low, bounds.a_high, _DS)
     begin = _reachable(wish, best)
-    x = speed_profile.fastest(
-        d1, d2, bounds.a_low, bounds.a_high, _DS, best, begin.node(_DS), begin.lead, begin.raw_speed**2
-    )
+    x = fastest(d1, d2, bounds.a_low, bounds.a_high, _DS, best, begin.node(_DS), begin.lead, begin.raw_speed**2)
     return AveragedProfile(x, begin, _DS), begin
 
 

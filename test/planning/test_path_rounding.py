@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 
-from humanpred_ros.planning.timing.path import straight
-from humanpred_ros.planning.timing.smooth_path import CONTROL_POINTS, NODES, smooth_path
+from humanpred_ros.planning.path import CONTROL_POINTS, NODES, smooth_path, straight
 
 
 @settings(max_examples=30)

@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from humanpred_ros.planning.timing.averaged_profile import SMOOTHING_S, AveragedProfile, Begin
-from humanpred_ros.planning.timing.coming_to_rest import ComingToRest
-from humanpred_ros.planning.timing.limit_use import MOMENTS, limit_use
-from humanpred_ros.planning.timing.trajectory import TimedTrajectory
+from humanpred_ros.planning.speed_profile import SMOOTHING_S, AveragedProfile, Begin
+from humanpred_ros.planning.stopping import ComingToRest
+from humanpred_ros.planning.trajectory import MOMENTS, TimedTrajectory, limit_use
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.planning.margin import widened
+from humanpred_ros.planning.person import widened
 
 
 @settings(max_examples=40)
@@ -40,3 +40,15 @@ def test_an_impossible_margin_is_refused(margin_m: float) -> None:
     grid = VoxelGrid((0.0, 0.0, 0.0), 0.05, (2, 2, 2))
     with pytest.raises(PlanningError, match="margin"):
         widened(Occupancy(grid, np.zeros(grid.shape, dtype=np.float32)), margin_m)
+
+
+@pytest.mark.parametrize("margin_m", [0.15, 0.3, 0.35])
+def test_a_margin_of_whole_voxels_reaches_its_last_voxel_whatever_rounding_says(margin_m: float) -> None:
+    steps = round(margin_m / 0.05)
+    assert margin_m / 0.05 < steps  # as floating-point numbers
+    probability = np.zeros((17, 17, 17), dtype=np.float32)
+    probability[8, 8, 8] = 1.0
+    wide = widened(Occupancy(VoxelGrid((0.0, 0.0, 0.0), 0.05, probability.shape), probability), margin_m)
+    assert wide.grid.shape == (2 * steps + 1,) * 3
+    along = wide.probability[:, steps, steps]
+    assert along.all(), "every voxel on the axis is within the margin, the farthest exactly at it"

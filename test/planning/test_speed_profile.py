@@ -9,11 +9,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from planning_paths import A, V, a_path
 
-from humanpred_ros.planning.timing.averaged_profile import SMOOTHING_S
-from humanpred_ros.planning.timing.parameterisation import speed_profile, time_parameterise
-from humanpred_ros.planning.timing.path import straight
-from humanpred_ros.planning.timing.smooth_path import smooth_path
-from humanpred_ros.planning.timing.stopping import stop_trajectory
+from humanpred_ros.planning.path import smooth_path, straight
+from humanpred_ros.planning.speed_profile import SMOOTHING_S, controllable, fastest
+from humanpred_ros.planning.stopping import stop_trajectory
+from humanpred_ros.planning.time_parameterisation import time_parameterise
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -23,8 +22,8 @@ def fastest_s(path: NDArray[np.float64], n: int = 1001) -> float:
     s = np.linspace(0.0, 1.0, n)
     _, d1, d2 = smooth_path(path).at(s)
     v, a = (np.ascontiguousarray(np.broadcast_to(limit, d1.shape)) for limit in (V, A))
-    best = speed_profile.controllable(d1, d2, -v, v, -a, a, s[1])
-    x = np.sqrt(speed_profile.fastest(d1, d2, -a, a, s[1], best, 1, 0.0, 0.0))
+    best = controllable(d1, d2, -v, v, -a, a, s[1])
+    x = np.sqrt(fastest(d1, d2, -a, a, s[1], best, 1, 0.0, 0.0))
     return float((2.0 * s[1] / np.maximum(x[1:] + x[:-1], 1e-9)).sum())
 
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from humanpred_ros.errors import PlanningError
-from humanpred_ros.planning.timing.trajectory import TimedTrajectory, at_rest
+from humanpred_ros.planning.trajectory import TimedTrajectory, at_rest
 
 
 def knots(seed: int, n: int = 6, d: int = 3) -> TimedTrajectory:

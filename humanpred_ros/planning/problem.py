@@ -1,0 +1,155 @@
+"""What stays the same from step to step: the arm, its goals, what it must keep clear of, its limits and settings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+
+from humanpred_ros.errors import GoalUnreachableError, PlanningError
+from humanpred_ros.geometry.chain import reach_m
+from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.distance_field import SignedDistanceField
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
+from humanpred_ros.planning.motion_check import MotionChecker, SelfClearance
+from humanpred_ros.planning.path import reconnect, straight
+from humanpred_ros.planning.person import Person, widened
+from humanpred_ros.planning.replanner_config import ReplannerConfig
+from humanpred_ros.planning.stopping import brake_along
+from humanpred_ros.planning.time_parameterisation import time_parameterise
+from humanpred_ros.planning.trajectory import TimedTrajectory
+from humanpred_ros.robot.arm import Arm
+from humanpred_ros.robot.goals import Goal
+from humanpred_ros.stomp.costs import CostTermRequest, HumanOccupancyCost, ObstacleCost, SmoothnessCost
+from humanpred_ros.stomp.planner import StompPlanner
+
+#: What a timed trajectory may lose of clearance against its path, m, and what it may exceed the joint limits by, rad:
+#: corners are rounded off, and what is left of the old velocity leads off the path for a moment.
+_SLACK_M, _SLACK_RAD = 0.005, 0.005
+#: Limits are written with about ten digits, configurations with six, rad.
+_LIMIT_TOLERANCE_RAD = 1e-6
+
+
+class Problem:
+    """An arm of D joints, its goals and its surroundings, without the person.
+
+    Attributes:
+        config: settings.
+        arm, chain: the arm and its kinematics.
+        goals: configurations (K, D) of each goal that the arm can rest at, by name.
+        task_costs: of each goal.
+        obstacles: cost of obstacles.
+        checker: says what may be executed.
+        weights: (D,) configuration distance of a one-radian change of each joint alone (docs/papers.md, 1.12).
+        velocity_limit, acceleration_limit: (D,) rad/s, rad/s².
+        pool: threads for several goals; None to plan in the caller's.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        goals: Sequence[Goal],
+        field: SignedDistanceField,
+        config: ReplannerConfig,
+        self_clearance: SelfClearance | None,
+    ) -> None:
+        """Take arm, goals, signed distance to obstacles and settings; `self_clearance` as in `MotionChecker`.
+
+        Raises:
+            PlanningError: for no goals, two of one name, or configurations of another arm.
+            GoalUnreachableError: for a goal all of whose configurations are outside the joint limits or not free.
+        """
+        names = [goal.name for goal in goals]
+        if not names or len(set(names)) != len(names):
+            raise PlanningError(f"replanner: wanted one or more goals of different names, got {names}")
+        self.config, self.arm, self.chain = config, arm, arm.chain
+        spheres, n = arm.spheres(), arm.chain.n_joints
+        self.checker = MotionChecker(arm.chain, spheres, field, config.padding_m - _SLACK_M, self_clearance)
+        self.goals = {goal.name: self._usable_configurations(goal) for goal in goals}
+        self.task_costs = {goal.name: goal.task_cost for goal in goals}
+        self.weights = np.array([float(arm.configuration_distance(np.zeros(n), unit)) for unit in np.eye(n)])
+        self.velocity_limit = config.velocity_scale * arm.chain.velocity_limit
+        self.acceleration_limit = np.array(np.broadcast_to(config.acceleration_limit, (n,)), dtype=np.float64)
+        self.pool = ThreadPoolExecutor(config.threads) if config.threads > 1 else None
+        self._request = CostTermRequest(arm.chain, arm.body_points(), spheres, field, config.padding_m, config.stomp)
+        self.obstacles = ObstacleCost.build(self._request)
+        self._smoothness = SmoothnessCost.build(self._request)
+
+    def planner(self, occupancy: Occupancy) -> tuple[StompPlanner, HumanOccupancyCost]:
+        """Return the planner for one predicted occupancy, and the cost of the person, which compares goals."""
+        near = widened(occupancy, self.config.human_margin_m)
+        request = replace(self._request, occupancy=near)
+        human = HumanOccupancyCost.build(request)
+        terms = (self.obstacles, human, self._smoothness)
+        return StompPlanner(terms, self.chain.lower, self.chain.upper, self.config.stomp), human
+
+    def person(self, occupancy: Occupancy) -> Person:
+        """Return the person of one predicted occupancy."""
+        return Person(occupancy, self.checker, self.config)
+
+    def timed(self, path: FloatArray, v: FloatArray, a: FloatArray, start_s: float) -> TimedTrajectory:
+        """Return a trajectory along a path (N, D) that begins at `start_s` with velocity and acceleration (D,)."""
+        limits = self.velocity_limit, self.acceleration_limit
+        return time_parameterise(path, *limits, v, a, self.config.sample_period_s, start_s)
+
+    def stopped(self, trajectory: TimedTrajectory, t_s: float) -> TimedTrajectory:
+        """Return a stop along a trajectory from `t_s` on."""
+        return brake_along(trajectory, t_s, self.acceleration_limit, self.config.sample_period_s)
+
+    def not_free(self, trajectory: TimedTrajectory, begin_s: float) -> str:
+        """Return why a trajectory must not be executed from `begin_s` on, whoever is there; empty if it may."""
+        q = trajectory.q[trajectory.t_s >= begin_s]
+        if ((q < self.chain.lower - _SLACK_RAD) | (q > self.chain.upper + _SLACK_RAD)).any():
+            return "its trajectory leaves the joint limits"
+        trouble = self.checker.first_trouble(trajectory, begin_s)
+        return "" if trouble is None else f"its trajectory is not free: {trouble}"
+
+    def outside_limits(self, q: FloatArray) -> str:
+        """Return which joint of a configuration (D,) is outside its limits; empty if none is."""
+        chain = self.chain
+        for joint, value, low, high in zip(chain.joint_names, q, chain.lower, chain.upper, strict=True):
+            if not low - _LIMIT_TOLERANCE_RAD <= value <= high + _LIMIT_TOLERANCE_RAD:
+                return f"wanted {joint} within {low:.4f} to {high:.4f} rad, got {value:.4f} rad"
+        return ""
+
+    def warm_up(self) -> None:
+        """Use all that a step is made of once: what compiles at its first use must not cost a step its deadline."""
+        q = next(iter(self.goals.values()))[0]
+        x, y, z = (float(value) for value in reach_m(self.chain, self.arm.spheres())[0])
+        corner = np.zeros((4, 4, 4), dtype=np.float32)
+        corner[0, 0, 0] = 1.0
+        occupancy = Occupancy(VoxelGrid((x, y, z), 0.05, corner.shape), corner)
+        planner, human = self.planner(occupancy)
+        path = straight(q, q + 0.1, self.config.stomp.waypoints)
+        planner.plan(path, np.random.default_rng(0))
+        reconnect(q, path, planner.terms, human, self.weights, self.config.reconnect_step, len(path))
+        rest = np.zeros_like(q)
+        trajectory = self.timed(path, rest, rest, 0.0)
+        middle_s = 0.5 * trajectory.duration_s
+        _, v, a = trajectory.sample(middle_s)
+        self.timed(path, v, a, 0.0)
+        self.stopped(trajectory, middle_s)
+        self.not_free(trajectory, 0.0)
+        person = self.person(occupancy)
+        person.conflict(trajectory, 0.0)
+        person.crossing(trajectory, 0.0)
+        person.least_gap_m(trajectory, 0.0)
+        person.rest_conflict(q)
+
+    def _usable_configurations(self, goal: Goal) -> FloatArray:
+        """Return the configurations (K, D) of a goal that the arm can rest at."""
+        usable, reasons = [], []
+        for q in checked(f"goal {goal.name}", goal.configurations, ("K", self.chain.n_joints), error=PlanningError):
+            trouble = self.outside_limits(q) or self.checker.first_trouble_on_path(q[None])
+            if trouble:
+                reasons.append(str(trouble))
+            else:
+                usable.append(q)
+        if not usable:
+            raise GoalUnreachableError(
+                f"goal {goal.name}: {'; '.join(dict.fromkeys(reasons))}; choose a configuration within the limits "
+                "and clear of obstacles"
+            )
+        return np.array(usable)
