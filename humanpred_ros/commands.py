@@ -22,6 +22,7 @@ class TrainSettings(Settings):
 
     library: str = setting(..., "bag, CSV folder, or the name of a shipped one", positional=True)
     out: Path = setting(..., "model file to write (.npz)")
+    classifier: tuple[str, ...] = setting(("forest", "gmm"), "classifiers to train, by name; own ones, too")
     hold_out: int = setting(0, "first motions of each class not trained on", low=0)
     components: int = setting(40, "Gaussians per class", low=1)
     phase: bool = setting(True, "let the phase be a feature")
@@ -33,19 +34,22 @@ def train(settings: TrainSettings, console: Console) -> int:
     """Learn a model from a motion library."""
     from humanpred_ros.human.model import human_with
     from humanpred_ros.motion.library_io import load_library
-    from humanpred_ros.recognition.gmm_config import GmmSettings
+    from humanpred_ros.recognition.gmm_classifier import GmmSettings
     from humanpred_ros.recognition.model_file import save_model
-    from humanpred_ros.recognition.training import train_model
+    from humanpred_ros.recognition.training import seeded_settings, train_model
 
     library = load_library(locate(settings.library, "bags"), frame_period_s=settings.frame_period)
     if settings.hold_out:
         held_out = {m.name for label in library.labels for m in library.of_class(label)[: settings.hold_out]}
         library = library.select(lambda motion: motion.name not in held_out)
-    config = GmmSettings(n_components=settings.components, phase_feature=settings.phase, seed=settings.seed)
+    chosen = {name: seeded_settings(name, settings.seed) for name in settings.classifier}
+    if "gmm" in chosen:
+        chosen["gmm"] = GmmSettings(n_components=settings.components, phase_feature=settings.phase, seed=settings.seed)
     with console.status(f"training on {len(library)} motions of {library.name}"):
-        model = train_model(library, human_with(library.dof_names), config)
+        model = train_model(library, human_with(library.dof_names), chosen)
     save_model(model, settings.out)
-    console.print(f"{settings.out}: {len(model.labels)} classes from {len(library)} motions of {library.name}")
+    what = f"{', '.join(chosen)}; {len(library.labels)} classes from {len(library)} motions of {library.name}"
+    console.print(f"{settings.out}: {what}")
     return 0
 
 

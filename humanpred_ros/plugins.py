@@ -22,6 +22,10 @@ CLASSIFIERS = "humanpred_ros.classifiers"
 PREDICTORS = "humanpred_ros.predictors"
 COST_TERMS = "humanpred_ros.cost_terms"
 
+#: What is used unless another is chosen.
+DEFAULT_CLASSIFIER = "forest"
+DEFAULT_PREDICTOR = "forecast"
+
 _WORDS = {CLASSIFIERS: "classifier", PREDICTORS: "predictor", COST_TERMS: "cost term"}
 _PACKAGE = "humanpred_ros"
 

@@ -18,12 +18,10 @@ from humanpred_ros.human.model import human_with, name_of_human
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR, check_predictor, predictor_type
-from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
-from humanpred_ros.recognition.forest_config import ForestSettings
-from humanpred_ros.recognition.gmm_config import GmmSettings
+from humanpred_ros.occupancy.predictor import check_predictor, needed_classifiers, predictor_type
+from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR
 from humanpred_ros.recognition.model_file import load_model, save_model
-from humanpred_ros.recognition.training import train_model
+from humanpred_ros.recognition.training import seeded_settings, train_model
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import Scene, load_scene
 from humanpred_ros.settings import Settings, setting
@@ -98,7 +96,8 @@ def run_demo(settings: DemoSettings, console: Console) -> RunSummary:
     elif predictor_type(settings.predictor).needs_model:
         training = training_part(library, motion, settings.hold_out)
         with console.status(f"training on {len(training)} motions of {library.name}"):
-            model = train_model(training, human, GmmSettings(seed=settings.seed), ForestSettings(seed=settings.seed))
+            names = needed_classifiers(settings.predictor, settings.classifier)
+            model = train_model(training, human, {name: seeded_settings(name, settings.seed) for name in names})
 
     folder.mkdir(parents=True)
     model_path = Path(settings.model or folder / "model.npz").resolve()

@@ -35,8 +35,8 @@ from humanpred_ros.evaluation.simulation import RunSettings, first_of_classes, r
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.recognition.class_mixtures import check_trainable
-from humanpred_ros.recognition.gmm_config import GmmSettings
+from humanpred_ros.recognition.classifier import check_trainable
+from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.settings import setting
 from humanpred_ros.viewing.figures import ALARM, INK, MUTED, SERIES, new_figure, note
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,29 +12,30 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros import plugins
 from humanpred_ros.errors import LibraryFormatError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.occupancy.forecast import ForecastPredictor
-from humanpred_ros.occupancy.predictor import Predictor, PredictorRequest, make_predictor, predictor_type
-from humanpred_ros.occupancy.swept_volume import swept_volume
-from humanpred_ros.occupancy.swept_volume_predictor import SweptVolumePredictor
+from humanpred_ros.occupancy.predictor import (
+    Predictor,
+    PredictorRequest,
+    make_predictor,
+    needed_classifiers,
+    predictor_type,
+)
+from humanpred_ros.occupancy.swept_volume_predictor import SweptVolumePredictor, swept_volume
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
+from humanpred_ros.plugins import DEFAULT_CLASSIFIER
 from humanpred_ros.reaching.places import GoalPlaces, ReachEnd, reach_ends, reaching_for
 from humanpred_ros.reaching.reach_sources import ReachKnowledge
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
-from humanpred_ros.recognition.class_mixtures import ClassMixtures, fit_class_mixtures, refit_class_mixtures
-from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER, Classifier
+from humanpred_ros.recognition.classifier import Classifier, classifier_type
+from humanpred_ros.recognition.forest import ForestSettings
 from humanpred_ros.recognition.forest_classifier import ForestClassifier
-from humanpred_ros.recognition.forest_config import ForestSettings
-from humanpred_ros.recognition.gmm_classifier import GmmClassifier
-from humanpred_ros.recognition.gmm_config import GmmSettings
-from humanpred_ros.recognition.mixture import GaussianMixture
-from humanpred_ros.recognition.regression import regress
-from humanpred_ros.recognition.training import train_model
+from humanpred_ros.recognition.gmm_classifier import GmmClassifier, GmmSettings
+from humanpred_ros.recognition.training import seeded_settings, train_model
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,8 +109,10 @@ class TrainedAnew(LeaveOneOut):
         """Return a predictor whose model never saw the motion."""
         s = self.settings
         rest = s.library.select(lambda motion: motion.name != name)
-        model = train_model(rest, s.human, s.gmm)
         classifier = DEFAULT_CLASSIFIER if self._name == "forecast" else s.classifier
+        names = needed_classifiers(self._name, classifier)
+        settings = {name: s.gmm if name == "gmm" else seeded_settings(name, s.gmm.seed) for name in names}
+        model = train_model(rest, s.human, settings)
         request = PredictorRequest(s.human, s.grid, s.T_world_human, model, classifier)
         return make_predictor(self._name, request)
 
@@ -121,45 +123,39 @@ class SweptVolumes(LeaveOneOut):
     def __init__(self, settings: FoldSettings, predictor: str = "swept_volume") -> None:
         super().__init__(settings, predictor)
         self._voxeliser = BodyVoxeliser(settings.human, settings.grid, settings.T_world_human)
-        self._phase = np.arange(settings.gmm.n_phase_frames, dtype=np.float64)
 
     def without(self, name: str) -> SweptVolumePredictor:
         """Return P1's predictor as if trained without the motion."""
         s = self.settings
         if all(motion.name != name for motion in s.library):
-            # A copy: what a classifier remembers of one person's place must not reach the next motion.
-            return SweptVolumePredictor(copy.deepcopy(self._fitted), self._swept_by_all, s.grid)
+            return SweptVolumePredictor(self._fitted.fresh(), self._swept_by_all, s.grid)
         label = s.library.find(name).label
         if label is None:
             raise LibraryFormatError(f"leaving out {name}: wanted a motion of some class, this one has none")
         classifier = fitted_without(self._fitted, s.library, name)
-        classes = _with_phase(classifier)
-        if classes is None:
-            rest = s.library.select(lambda motion: motion.name != name)
-            classes = refit_class_mixtures(self._joint, rest, label, s.gmm.with_phase())
-        anew = self._swept(classes.mixtures[classes.labels.index(label)])
+        gmm = classifier if self._gmm is self._fitted else self._gmm.fit_without(s.library, name)
+        assert isinstance(gmm, GmmClassifier)
+        anew = swept_volume(self._voxeliser, gmm.expected_q[s.library.labels.index(label)])
         return SweptVolumePredictor(classifier, {**self._swept_by_all, label: anew}, s.grid)
 
     @cached_property
     def _fitted(self) -> Classifier:
         s = self.settings
-        # Abstract classes are types, too; mypy asks for concrete ones.
-        kind = plugins.load(plugins.CLASSIFIERS, s.classifier, Classifier)  # type: ignore[type-abstract]
+        kind = classifier_type(s.classifier)
         return kind(s.human, s.gmm if s.classifier == "gmm" else None).fit(s.library)
 
     @cached_property
-    def _joint(self) -> ClassMixtures:
-        """Mixtures over phase and posture of the whole library, from which its expected motions follow."""
-        learned = _with_phase(self._fitted)
-        return learned or fit_class_mixtures(self.settings.library, self.settings.gmm.with_phase())
+    def _gmm(self) -> GmmClassifier:
+        """P1's classifier of the whole library with the phase, from which its expected motions follow."""
+        if isinstance(self._fitted, GmmClassifier) and self._fitted.settings.phase_feature:
+            return self._fitted
+        with_phase = self.settings.gmm.replaced(phase_feature=True)
+        return GmmClassifier(self.settings.human, with_phase).fit(self.settings.library)
 
     @cached_property
     def _swept_by_all(self) -> dict[int, NDArray[np.bool_]]:
-        joint = self._joint
-        return {label: self._swept(mixture) for label, mixture in zip(joint.labels, joint.mixtures, strict=True)}
-
-    def _swept(self, mixture: GaussianMixture) -> NDArray[np.bool_]:
-        return swept_volume(self._voxeliser, regress(mixture, self._phase).mean)
+        motions = zip(self.settings.library.labels, self._gmm.expected_q, strict=True)
+        return {label: swept_volume(self._voxeliser, q) for label, q in motions}
 
 
 class Forecasts(LeaveOneOut):
@@ -171,16 +167,14 @@ class Forecasts(LeaveOneOut):
     def without(self, name: str) -> ForecastPredictor:
         """Return the forecast as if trained without the motion."""
         s = self.settings
-        if all(motion.name != name for motion in s.library):
-            forest = ForestClassifier(s.human, model=self._fitted.model)
-        else:
-            forest = self._fitted.fit_without(s.library, name)
+        known = any(motion.name == name for motion in s.library)
+        forest = self._fitted.fit_without(s.library, name) if known else self._fitted.fresh()
         return ForecastPredictor(forest, s.grid, s.T_world_human)
 
     @cached_property
     def _fitted(self) -> ForestClassifier:
-        config = ForestSettings(seed=self.settings.gmm.seed)
-        return ForestClassifier(self.settings.human, config).fit(self.settings.library)
+        settings = ForestSettings(seed=self.settings.gmm.seed)
+        return ForestClassifier(self.settings.human, settings).fit(self.settings.library)
 
 
 class UnseenClass(LeaveOneOut):
@@ -224,12 +218,6 @@ def fitted_without(whole: Classifier, library: MotionLibrary, name: str) -> Clas
         without: Classifier = shortcut(library, name)
         return without
     return type(whole)(whole.human, whole.settings).fit(library.select(lambda motion: motion.name != name))
-
-
-def _with_phase(classifier: Classifier) -> ClassMixtures | None:
-    """Return what a classifier learned, if motions can be regressed from it."""
-    classes = classifier.classes if isinstance(classifier, GmmClassifier) else None
-    return classes if classes is not None and classes.has_phase else None
 
 
 #: How predictors are trained without one motion, where there is something to share between the trainings.

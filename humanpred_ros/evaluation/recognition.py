@@ -67,9 +67,9 @@ from humanpred_ros.evaluation.recognition_scores import (
 )
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
-from humanpred_ros.recognition.forest_config import ForestSettings
-from humanpred_ros.recognition.gmm_config import GmmSettings
+from humanpred_ros.plugins import DEFAULT_CLASSIFIER
+from humanpred_ros.recognition.forest import ForestSettings
+from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.settings import setting
 
 #: The least probabilities counted in a log-loss: scikit-learn's old default, and one at which a few motions that are

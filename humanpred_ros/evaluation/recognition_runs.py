@@ -21,9 +21,9 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary, resample
 from humanpred_ros.reaching.place_classifier import GoalClassifier
 from humanpred_ros.reaching.place_model import GoalConfig
-from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
-from humanpred_ros.recognition.forest_config import ForestSettings
-from humanpred_ros.recognition.gmm_config import GmmSettings
+from humanpred_ros.recognition.classifier import Classifier, ClassPosterior, classifier_type
+from humanpred_ros.recognition.forest import ForestSettings
+from humanpred_ros.recognition.gmm_classifier import GmmSettings
 
 #: With one of three classes left out, two are left: the least that can be told apart.
 LEAST_CLASSES_FOR_UNKNOWN = 3
@@ -53,8 +53,7 @@ def make_evaluated(name: str, config: ClassifierConfig | None = None) -> Classif
         return GoalClassifier(config=config)
     if isinstance(config, GoalConfig):
         raise UsageError(f"classifier {name}: wanted its own settings, got {type(config).__name__}")
-    # Abstract classes are types, too; mypy asks for concrete ones.
-    kind = plugins.load(plugins.CLASSIFIERS, name, Classifier)  # type: ignore[type-abstract]
+    kind = classifier_type(name)
     return kind(HumanModel.kinect12(), config)
 
 

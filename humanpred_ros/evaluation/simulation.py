@@ -19,13 +19,13 @@ from humanpred_ros.evaluation.leave_one_out import FoldSettings, LeaveOneOut, le
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR, Predictor, predictor_type
+from humanpred_ros.occupancy.predictor import Predictor, predictor_type
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.planning.decision import ARRIVED, Decision
 from humanpred_ros.planning.replanner import MultiGoalReplanner
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
-from humanpred_ros.recognition.gmm_config import GmmSettings
+from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR
+from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.robot.scene import Scene, load_scene
 
 

@@ -38,8 +38,8 @@ from humanpred_ros.evaluation.switching_runs import (
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.recognition.class_mixtures import check_trainable
-from humanpred_ros.recognition.gmm_config import GmmSettings
+from humanpred_ros.recognition.classifier import check_trainable
+from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.settings import setting
 from humanpred_ros.viewing.figures import DASHES, INK, MARKERS, SERIES, goal_colours, new_figure, note

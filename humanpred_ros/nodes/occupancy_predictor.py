@@ -21,22 +21,22 @@ from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.markers import occupancy_markers
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.occupancy.predictor import (
-    DEFAULT_PREDICTOR,
     Prediction,
     Predictor,
     PredictorRequest,
     check_predictor,
     make_predictor,
+    needed_classifiers,
     predictor_type,
 )
+from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR
 from humanpred_ros.reaching.features import NAMED_WEIGHTS
 from humanpred_ros.reaching.places import GoalPlaces
 from humanpred_ros.reaching.reach_goals import goals_from_text, goals_of_scene
 from humanpred_ros.reaching.reach_sources import ReachKnowledge
 from humanpred_ros.reaching.reaching_predictor import DEFAULT_WEIGHTS, ReachingPredictor
 from humanpred_ros.reaching.weights import reach_weights
-from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
-from humanpred_ros.recognition.gmm_config import GmmSettings
+from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.recognition.model_file import load_model
 from humanpred_ros.recognition.training import TrainedModel, train_model
 from humanpred_ros.resources import locate
@@ -142,7 +142,7 @@ class OccupancyPredictorNode(GraphNode):
         """Return one of the predictors that know classes, or nothing."""
         settings = self.settings
         model = self._model() if predictor_type(settings.predictor).needs_model else None
-        self.goals_m = None if model is None else model.goals_m
+        self.goals_m = None if model is None else np.array(list(model.places.values()))
         request = PredictorRequest(
             self.human,
             scene.grid,
@@ -158,7 +158,8 @@ class OccupancyPredictorNode(GraphNode):
         if self.settings.model:
             return load_model(self.settings.model, self.human)
         self.get_logger().info(f"no model given: training on {self.settings.library}")
-        return train_model(load_library(locate(self.settings.library, "bags")), self.human, GmmSettings())
+        needed = needed_classifiers(self.settings.predictor, self.settings.classifier)
+        return train_model(load_library(locate(self.settings.library, "bags")), self.human, dict.fromkeys(needed))
 
     def _reaching(self, scene: Scene, told: GoalPlaces | None) -> ReachingPredictor:
         """Return the predictor that knows places; a library without classes is enough for it, given places."""

@@ -9,7 +9,7 @@ from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy.predictor import Prediction, Predictor, PredictorRequest
-from humanpred_ros.occupancy.swept_volume import BodyVoxeliser
+from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 
 
 class CurrentOccupancyPredictor(Predictor):

@@ -90,7 +90,7 @@ class ForecastPredictor(Predictor):
         self._touched = np.zeros(grid.size + 1, dtype=np.uint32)
         self._share = np.zeros([n + 2 for n in grid.shape], dtype=np.float32)
         # What is compiled or put in order at its first use is used here: the first posture must not wait for it.
-        _ = forest.model.leaf_members
+        _ = forest.model.forest.leaf_members
         start = forest.model.exemplars.q[0]
         self._probability(start, np.eye(4), *self._drawn(np.ones(len(self._futures.label))))
 

@@ -15,13 +15,11 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.geometry.shapes import Obstacle
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER, Classifier, ClassPosterior
+from humanpred_ros.plugins import DEFAULT_CLASSIFIER
+from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
 from humanpred_ros.recognition.stream import StreamClassifier
 from humanpred_ros.recognition.training import TrainedModel
 from humanpred_ros.settings import Settings
-
-#: What predicts unless another is chosen.
-DEFAULT_PREDICTOR = "forecast"
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +80,7 @@ class PredictorRequest:
         Raises:
             UsageError: no model, one without this classifier, or settings that a trained one cannot change.
         """
-        return self.trained_model().classifier(self.classifier, self.human, **self.classifier_settings)
+        return self.trained_model().classifier(self.classifier, **self.classifier_settings)
 
     def on_stream(self, classifier: Classifier) -> Classifier:
         """Return a classifier, run on a stream of postures if onsets are to be found."""
@@ -111,13 +109,13 @@ class Predictor(ABC):
     grid: VoxelGrid
 
     @classmethod
-    @abstractmethod
     def from_request(cls, request: PredictorRequest) -> Predictor:
         """Return a predictor made from what it needs of `request`; `make_predictor` has checked the class attributes.
 
         Raises:
             HumanPredError: something that it needs is missing or cannot be used.
         """
+        raise UsageError(f"{cls.__name__}: wanted a predictor with `from_request`, to be made by name; it has none")
 
     @abstractmethod
     def start(self) -> None:
@@ -149,6 +147,18 @@ def check_predictor(name: str, classifier: str = DEFAULT_CLASSIFIER) -> None:
         )
 
 
+def needed_classifiers(name: str, classifier: str = DEFAULT_CLASSIFIER) -> tuple[str, ...]:
+    """Return which classifiers a model must have for a predictor; none for those that need only a library, or nothing.
+
+    Raises:
+        UsageError: as `check_predictor`.
+    """
+    check_predictor(name, classifier)
+    found = predictor_type(name)
+    asked = () if found.classifiers == () else (classifier,)
+    return tuple(dict.fromkeys((*asked, *found.also_trained)))
+
+
 def make_predictor(name: str, request: PredictorRequest) -> Predictor:
     """Return a predictor by name.
 
@@ -168,7 +178,7 @@ def make_predictor(name: str, request: PredictorRequest) -> Predictor:
     if found.needs_model:
         if request.model is None:
             raise UsageError(f"predictor {name}: wanted a trained model, got none; train one first")
-        if request.model.human_signature != request.human.signature:
+        if request.model.human.signature != request.human.signature:
             raise UsageError(
                 f"predictor {name}: the model was trained for another human than {request.human.name}; "
                 "train one for this human"

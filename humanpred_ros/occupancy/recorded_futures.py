@@ -16,7 +16,7 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.compiled import exact
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy.body_parts import BodyParts, Float32Array
-from humanpred_ros.recognition.forest_model import Exemplars
+from humanpred_ros.recognition.forest import Exemplars
 
 #: Moments between two exemplar postures: so many times finer a quick movement can be followed.
 MOMENTS = 4

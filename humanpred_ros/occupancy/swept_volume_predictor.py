@@ -1,4 +1,8 @@
-"""P1's prediction: where the human will be is where the likely classes of motions sweep (P1 IV)."""
+"""P1's prediction: the human will be where the likely classes of motions sweep (P1 IV).
+
+A class sweeps the voxels that the body touches in each posture of its expected motion (docs/papers.md, P1 occupancy).
+All bodies count: legs and the resting arm are in the way like the reaching one.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +14,42 @@ from numpy.typing import ArrayLike, NDArray
 from humanpred_ros.errors import ArrayError, UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy.predictor import Prediction, Predictor, PredictorRequest
-from humanpred_ros.occupancy.swept_volume import BodyVoxeliser, SweptVolumeConfig, swept_volume
+from humanpred_ros.occupancy.voxeliser import DEFAULT_SPACING_M, BodyVoxeliser
 from humanpred_ros.recognition.classifier import Classifier
-from humanpred_ros.recognition.training import TrainedModel
+from humanpred_ros.recognition.forest import evenly_spaced
+from humanpred_ros.recognition.gmm_classifier import GmmClassifier
+from humanpred_ros.settings import Settings, setting
+
+
+class SweptVolumeSettings(Settings):
+    """Settings of the predictor `swept_volume`: how finely bodies and motions are sampled."""
+
+    spacing_m: float = setting(
+        DEFAULT_SPACING_M, "distance between points on the surface (P1: 0.02)", unit="m", low=1e-4, high=10.0
+    )
+    n_postures: int = setting(
+        100,
+        "postures a motion is thinned to; 100 is P1's normal case, 10, used when P1 was submitted, loses 6 to 10 % of "
+        "the voxels",
+        low=1,
+        high=100_000,
+    )
+
+
+def swept_volume(voxeliser: BodyVoxeliser, q: ArrayLike, n_postures: int = 100) -> NDArray[np.bool_]:
+    """Return the boolean grid of voxels the body touches during a motion (P1 IV).
+
+    Args:
+        voxeliser: human, grid and placement.
+        q: (T, D) postures in order.
+        n_postures: how many of them count, evenly spaced from the first to the last.
+
+    Raises:
+        HumanModelError: wrong shape or values that are not finite.
+    """
+    postures = np.atleast_2d(np.asarray(q, dtype=np.float64))
+    return voxeliser.mask(postures[evenly_spaced(len(postures), n_postures)])
 
 
 class SweptVolumePredictor(Predictor):
@@ -28,6 +63,7 @@ class SweptVolumePredictor(Predictor):
         swept_voxels: number of voxels each class sweeps, by label.
     """
 
+    settings_type = SweptVolumeSettings
     needs_model = True
     classifiers = None
     also_trained = ("gmm",)
@@ -64,46 +100,25 @@ class SweptVolumePredictor(Predictor):
         self._sweeps = stacked[:, self._union].astype(np.float32)
 
     @classmethod
-    def from_model(
-        cls,
-        model: TrainedModel,
-        human: HumanModel,
-        grid: VoxelGrid,
-        T_world_human: ArrayLike,
-        *,
-        classifier: Classifier | None = None,
-        config: SweptVolumeConfig | None = None,
-    ) -> SweptVolumePredictor:
-        """Return the predictor of a trained model: sweeps its regressed motions once.
-
-        Args:
-            model: trained for `human`.
-            human: whose body sweeps.
-            grid: the lattice, world frame.
-            T_world_human: (4, 4) from the model's frame to the world.
-            classifier: used instead of the model's own; of the same classes.
-            config: how finely to sample.
+    def from_request(cls, request: PredictorRequest) -> SweptVolumePredictor:
+        """Sweep the expected motions of the model's classifier gmm; raises as `Predictor.from_request`.
 
         Raises:
-            UsageError: a model trained for another human.
+            UsageError: a model without that classifier.
             ArrayError: a placement that is not rigid, or that puts the human outside the grid.
         """
-        if model.human_signature != human.signature:
+        gmm = request.trained_model().classifier("gmm")
+        if not isinstance(gmm, GmmClassifier) or gmm.classes is None:
             raise UsageError(
-                f"predictor: the model was trained for another human than {human.name}; train one for this human"
+                f"predictor swept_volume: wanted the classifier gmm in the model, got {type(gmm).__name__}"
             )
-        config = SweptVolumeConfig() if config is None else config
-        voxeliser = BodyVoxeliser(human, grid, T_world_human, config.spacing_m)
+        settings = request.settings if isinstance(request.settings, SweptVolumeSettings) else SweptVolumeSettings()
+        voxeliser = BodyVoxeliser(request.human, request.grid, request.T_world_human, settings.spacing_m)
         swept = {
-            label: swept_volume(voxeliser, q, config) for label, q in zip(model.labels, model.regressed_q, strict=True)
+            label: swept_volume(voxeliser, q, settings.n_postures)
+            for label, q in zip(gmm.classes.labels, gmm.expected_q, strict=True)
         }
-        return cls(model.gmm_classifier(human) if classifier is None else classifier, swept, grid)
-
-    @classmethod
-    def from_request(cls, request: PredictorRequest) -> SweptVolumePredictor:
-        classifier = request.on_stream(request.make_classifier())
-        model = request.trained_model()
-        return cls.from_model(model, request.human, request.grid, request.T_world_human, classifier=classifier)
+        return cls(request.on_stream(request.make_classifier()), swept, request.grid)
 
     def start(self) -> None:
         """Forget what was observed: the next posture is the first of a new motion."""

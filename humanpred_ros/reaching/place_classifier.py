@@ -22,8 +22,7 @@ from humanpred_ros.reaching.place_model import GoalConfig, GoalModel, unknown_pr
 from humanpred_ros.reaching.places import GoalPlaces
 from humanpred_ros.reaching.progress import ReachProgress
 from humanpred_ros.reaching.unlisted_places import UntoldPlaces, evenly_picked
-from humanpred_ros.recognition.class_mixtures import check_trainable
-from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
+from humanpred_ros.recognition.classifier import Classifier, ClassPosterior, check_trainable
 from humanpred_ros.recognition.reach_features import N_START, point_links
 
 __all__ = ["GoalClassifier", "GoalConfig", "GoalModel", "GoalPlaces", "learn_goal_model"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +13,7 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.geometry.shapes import Obstacle
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.motion import Motion, MotionLibrary
+from humanpred_ros.motion.motion import MotionLibrary, unwrap_angles
 from humanpred_ros.motion.reach_recordings import ACTIVE, find_jumps
 from humanpred_ros.occupancy.voxeliser import checked_placement
 from humanpred_ros.reaching.features import NAMED_WEIGHTS
@@ -24,7 +24,11 @@ from humanpred_ros.reaching.reach_model import ReachModel
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
 from humanpred_ros.reaching.surroundings import Surroundings
 from humanpred_ros.reaching.weights import load_weights
+from humanpred_ros.recognition.forest import evenly_spaced
 from humanpred_ros.recognition.training import TrainedModel
+
+#: Postures that are kept of each motion of a model.
+_N_POSTURES = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +76,7 @@ class ReachKnowledge:
         Raises:
             UsageError: a model that was trained for another human.
         """
-        if model.human_signature != human.signature:
+        if model.human.signature != human.signature:
             raise UsageError(
                 f"predictor: the model was trained for another human than {human.name}; train one for this human"
             )
@@ -115,18 +119,16 @@ class ReachKnowledge:
 
 
 def library_of_model(model: TrainedModel) -> MotionLibrary:
-    """Return the motions that a model file remembers: evenly spaced postures of each, from first to last.
+    """Return the motions of a model, thinned to `_N_POSTURES` postures each, evenly spaced from first to last.
 
-    Their stamps are not remembered. Each motion is taken to last as long as the library's median one.
+    Each motion is taken to last as long as the library's median one.
     """
-    exemplars = model.forest.exemplars
+    duration_s = float(np.median([motion.duration_s for motion in model.library]))
     motions = []
-    for k, name in enumerate(exemplars.names):
-        q = exemplars.q[exemplars.first[k] : exemplars.first[k + 1]]
-        t_s = np.linspace(0.0, model.nominal_duration_s, len(q))
-        label, index = model.labels[int(exemplars.label[k])], int(name.rpartition("/")[2])
-        motions.append(Motion(t_s, q, model.dof_names, label, index, model.frame_id))
-    return MotionLibrary(model.library_name, tuple(motions), model.library_provenance)
+    for motion in model.library:
+        q = unwrap_angles(motion).q[evenly_spaced(len(motion), _N_POSTURES)]
+        motions.append(replace(motion, t_s=np.linspace(0.0, duration_s, len(q)), q=q))
+    return MotionLibrary(model.library.name, tuple(motions), model.library.provenance)
 
 
 def reach_weights(name_or_file: str) -> FloatArray:

@@ -10,14 +10,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.errors import ArrayError, UsageError
+from humanpred_ros import plugins
+from humanpred_ros.errors import ArrayError, LibraryFormatError, UsageError
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.motion import MotionLibrary
+from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.settings import Settings
-
-#: What recognises unless another is chosen.
-DEFAULT_CLASSIFIER = "forest"
 
 
 @dataclass(frozen=True)
@@ -131,17 +129,62 @@ class Classifier(ABC):
         raise UsageError(f"{type(self).__name__}: wanted a classifier that says what it has learned, it does not")
 
     @classmethod
-    def from_state(
-        cls, human: HumanModel, settings: Settings, state: Mapping[str, NDArray[Any]], library: MotionLibrary
-    ) -> Classifier:
+    def from_state(cls, human: HumanModel, settings: Settings, state: Mapping[str, NDArray[Any]]) -> Classifier:
         """Return the classifier that gave `state`, ready for use.
 
         Args:
             human, settings: it was made with; `online_settings` may differ.
-            state: as it was given, and not to be trusted: the file may come from anywhere.
-            library: it was fitted to.
+            state: as it was given; not to be trusted, as the file may come from anywhere.
 
         Raises:
             HumanPredError, KeyError, TypeError, ValueError: parts that are missing or do not fit each other.
         """
         raise UsageError(f"{cls.__name__}: wanted a classifier that can be kept in a model file, this one cannot")
+
+    def fresh(self, settings: Settings | None = None) -> Classifier:
+        """Return a classifier that has learned the same, nothing observed yet.
+
+        Args:
+            settings: differ from these at most in `online_settings`; these if None.
+        """
+        return type(self).from_state(self.human, settings or self.settings, self.state())
+
+
+def classifier_type(name: str) -> type[Classifier]:
+    """Return a classifier's class by name. Raises UsageError for an unknown name, with those there are."""
+    # Abstract classes are types, too; mypy asks for concrete ones.
+    return plugins.load(plugins.CLASSIFIERS, name, Classifier)  # type: ignore[type-abstract]
+
+
+def check_trainable(library: MotionLibrary) -> None:
+    """Raise LibraryFormatError unless there are two classes or more, each of two motions or more, all different."""
+    unlabelled = [motion.name for motion in library if motion.label is None]
+    if unlabelled:
+        raise LibraryFormatError(
+            f"library {library.name}: wanted a class for every motion to learn from, {unlabelled[0]} and "
+            f"{len(unlabelled) - 1} more have none; label them or leave them out"
+        )
+    if len(library.labels) < 2:
+        raise LibraryFormatError(
+            f"library {library.name}: wanted at least two classes to tell apart, got only class {library.labels[0]}"
+        )
+    for label in library.labels:
+        motions = library.of_class(label)
+        if len(motions) < 2:
+            raise LibraryFormatError(
+                f"library {library.name}: wanted at least two motions per class, class {label} has only "
+                f"{motions[0].name}; record more or leave the class out"
+            )
+        if not any(np.ptp(motion.q, axis=0).any() for motion in motions):
+            raise LibraryFormatError(
+                f"library {library.name}: wanted motions that move, in class {label} no degree of freedom ever changes"
+            )
+    seen: dict[bytes, Motion] = {}
+    for motion in library:
+        # A recording counted twice weighs twice, and leaving one of the two out would test on the other.
+        twin = seen.setdefault(motion.q.tobytes(), motion)
+        if twin is not motion:
+            raise LibraryFormatError(
+                f"library {library.name}: wanted every motion once, {twin.name} and {motion.name} have the same "
+                "postures; leave one of them out"
+            )

@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from humanpred_ros.errors import MotionError, UsageError
+from humanpred_ros.errors import ArrayError, MotionError, UsageError
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
-from humanpred_ros.recognition.forest import IntArray, add_resemblance
-from humanpred_ros.recognition.forest_config import ForestSettings
-from humanpred_ros.recognition.forest_model import PELVIS, ForestModel, fit_forest, refit_without
+from humanpred_ros.recognition.calibration import COLUMNS, Calibration, Novelty
+from humanpred_ros.recognition.classifier import Classifier, ClassPosterior, check_trainable
+from humanpred_ros.recognition.forest import (
+    PELVIS,
+    Exemplars,
+    Forest,
+    ForestSettings,
+    IntArray,
+    Tree,
+    add_resemblance,
+    grow_tree,
+)
 from humanpred_ros.recognition.reach_features import (
     FAR,
     HEADINGS,
@@ -25,16 +37,115 @@ from humanpred_ros.recognition.reach_features import (
     in_library_frame,
     point_links,
 )
-from humanpred_ros.recognition.standing_place import PlaceTracker
-
-__all__ = ["ForestClassifier", "ForestSettings"]
-
+from humanpred_ros.recognition.standing_place import PlaceTracker, StandingPlace
+from humanpred_ros.settings import Settings
 
 #: Columns that tell one moment of a reach from another: palm now, farthest point, headings over 15 and 30 cm; and
 #: what a unit of each is worth in metres.
 _MOMENT = np.array([*range(3), *range(FAR, FAR + 3), *range(HEADINGS + 6, HEADINGS + 12)])
 _MOMENT_SCALE_M = np.repeat(np.array([1.0, 0.1], dtype=np.float32), 6)
 _MOMENT_WIDTH_M = 0.05
+#: Neighbouring postures say the same, and calibration has five parameters: every fourth one is enough.
+_CALIBRATED_ON = slice(None, None, 4)
+_EXEMPLARS = ("label", "first", "q", "features", "start_pose")
+
+
+@dataclass(frozen=True, eq=False)
+class ForestModel:
+    """A trained forest: immutable.
+
+    Attributes:
+        settings: it was trained with.
+        labels: C class labels.
+        exemplars: what it was trained on.
+        forest: the trees, with their votes.
+        calibration: from votes to probabilities.
+        novelty: from distances to the probability of no class.
+        place: where the library's people stand.
+    """
+
+    settings: ForestSettings
+    labels: tuple[int, ...]
+    exemplars: Exemplars
+    forest: Forest
+    calibration: Calibration
+    novelty: Novelty
+    place: StandingPlace
+
+
+def fit_forest(library: MotionLibrary, human: HumanModel, settings: ForestSettings) -> ForestModel:
+    """Learn from a library; the same library, settings and seed give the same model.
+
+    Raises:
+        LibraryFormatError: motions without a label, one class only, a class of one motion, or one that does not move.
+        HumanModelError: a library of other DoFs than the human's.
+    """
+    check_trainable(library)
+    human.check_dofs(library.dof_names)
+    exemplars = Exemplars.of_motions(library.motions, library.labels, human, settings.n_postures)
+    learned = drawn_motions(exemplars.names, settings)
+    trees = [_grow(exemplars, learned[:, b], b, settings) for b in range(settings.n_trees)]
+    return _finished(library.labels, exemplars, trees, settings)
+
+
+def refit_without(model: ForestModel, name: str) -> ForestModel:
+    """Return what `fit_forest` would without one motion: only trees that had learned from it are grown anew."""
+    exemplars, settings = model.exemplars.without(name), model.settings
+    before = drawn_motions(model.exemplars.names, settings)
+    learned = drawn_motions(exemplars.names, settings)
+    k = model.exemplars.names.index(name)
+    changed = before[k] | (np.delete(before, k, axis=0) != learned).any(axis=0)
+    trees = [
+        _grow(exemplars, learned[:, b], b, settings) if changed[b] else model.forest.tree(b)
+        for b in range(settings.n_trees)
+    ]
+    return _finished(model.labels, exemplars, trees, settings)
+
+
+def drawn_motions(names: tuple[str, ...], settings: ForestSettings) -> NDArray[np.bool_]:
+    """Return (K, B) which motions each tree learns from; whether a motion is drawn depends on no other motion."""
+    chance = [np.random.default_rng([settings.seed, *name.encode()]).random(settings.n_trees) for name in names]
+    drawn: NDArray[np.bool_] = np.array(chance) < settings.motion_share
+    drawn[:, ~drawn.any(axis=0)] = True  # of very few motions none may be drawn; better then to learn from all
+    return drawn
+
+
+def _grow(exemplars: Exemplars, drawn: NDArray[np.bool_], b: int, settings: ForestSettings) -> Tree:
+    mine = drawn[exemplars.motion]
+    label = exemplars.label[exemplars.motion][mine]
+    return grow_tree(exemplars.features[mine], label, settings.seed + b, settings.min_samples_leaf)
+
+
+def _joined(
+    labels: tuple[int, ...], exemplars: Exemplars, trees: Sequence[Tree], settings: ForestSettings
+) -> tuple[Forest, NDArray[np.bool_]]:
+    """Return the forest of trees grown on these exemplars, and which postures each has learned from (M, B)."""
+    if len(trees) != settings.n_trees or set(exemplars.label.tolist()) != set(range(len(labels))):
+        raise ArrayError(
+            f"forest: wanted {settings.n_trees} trees and exemplars of each of the {len(labels)} classes, "
+            f"got {len(trees)} and those of classes {sorted(set(exemplars.label.tolist()))}"
+        )
+    learned = drawn_motions(exemplars.names, settings)[exemplars.motion]
+    label = exemplars.label[exemplars.motion]
+    return Forest.of_trees(trees, exemplars.features, label, learned, len(labels)), learned
+
+
+def _finished(
+    labels: tuple[int, ...], exemplars: Exemplars, trees: Sequence[Tree], settings: ForestSettings
+) -> ForestModel:
+    forest, learned = _joined(labels, exemplars, trees, settings)
+    some = _CALIBRATED_ON
+    votes = forest.vote(forest.sample_leaves[some], ~learned[some])
+    reached_m = exemplars.features[some, REACHED].astype(np.float64)
+    return ForestModel(
+        settings,
+        labels,
+        exemplars,
+        forest,
+        Calibration.fit(votes, reached_m, exemplars.label[exemplars.motion][some]),
+        Novelty.fit(exemplars.features, exemplars.first, exemplars.label),
+        StandingPlace.of_starts(exemplars.start_pose),
+    )
 
 
 class ForestClassifier(Classifier):
@@ -43,8 +154,8 @@ class ForestClassifier(Classifier):
     P(class | the reach so far) and P(no class | the reach so far).
 
     Each posture's features (`reach_features`), brought to where the library's people stood (`standing_place`), fall
-    through randomised trees (`forest`); what these vote is made a probability (`calibration`); and their distance from
-    the library says how probable it is that the reach is of no class at all (`novelty`). Stamps are checked, not
+    through randomised trees (`forest`); what these vote is made a probability (`Calibration`); and their distance from
+    the library says how probable it is that the reach is of no class at all (`Novelty`). Stamps are checked, not
     used: the same postures at another speed get the same answers.
 
     Attributes:
@@ -54,29 +165,67 @@ class ForestClassifier(Classifier):
     settings_type = ForestSettings
     settings: ForestSettings
 
-    def __init__(
-        self, human: HumanModel, settings: ForestSettings | None = None, model: ForestModel | None = None
-    ) -> None:
-        """Make a classifier to fit, or, with `model`, one that is ready for use.
-
-        Raises:
-            HumanModelError: a human without the links that are followed.
-        """
-        super().__init__(human, model.config if settings is None and model is not None else settings)
+    def __init__(self, human: HumanModel, settings: Settings | None = None) -> None:
+        """Make one to be fitted. Raises HumanModelError for a human without the links that are followed."""
+        super().__init__(human, settings)
         self.model: ForestModel | None = None
-        self._links = point_links(self.human)
-        self._pelvis = self.human.link_names.index(PELVIS)
-        if model is not None:
-            self._take(model)
+        self._links = point_links(human)
+        self._pelvis = human.link_names.index(PELVIS)
 
     def fit(self, library: MotionLibrary) -> ForestClassifier:
         """Learn; return self. Raises LibraryFormatError if the library does not suffice."""
-        self._take(fit_forest(library, self.human, self.settings))
-        return self
+        return self._take(fit_forest(library, self.human, self.settings))
 
     def fit_without(self, library: MotionLibrary, name: str) -> ForestClassifier:
         """Return a classifier learned without one motion; only trees that had seen it are grown anew."""
-        return ForestClassifier(self.human, self.settings, refit_without(self._fitted(), name))
+        return ForestClassifier(self.human, self.settings)._take(refit_without(self._fitted(), name))
+
+    def fresh(self, settings: Settings | None = None) -> ForestClassifier:
+        return ForestClassifier(self.human, settings or self.settings)._take(self._fitted())
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        model = self._fitted()
+        trees = [model.forest.tree(b) for b in range(model.forest.n_trees)]
+        return {
+            "labels": np.array(model.labels, dtype=np.int64),
+            "motions": np.array(model.exemplars.names),
+            **{name: getattr(model.exemplars, name) for name in _EXEMPLARS},
+            "n_nodes": np.diff(model.forest.first),
+            **{f"node_{name}": np.concatenate([getattr(tree, name) for tree in trees]) for name in Tree._fields},
+            "calibration": model.calibration.parameters,
+            "novelty": model.novelty.weights,
+            "place_pose": model.place.pose,
+            "place_spread": model.place.spread,
+        }
+
+    @classmethod
+    def from_state(cls, human: HumanModel, settings: Settings, state: Mapping[str, NDArray[Any]]) -> ForestClassifier:
+        self = cls(human, settings)
+        labels = tuple(int(label) for label in state["labels"])
+        exemplars = Exemplars(
+            tuple(str(name) for name in state["motions"]),
+            state["label"].astype(np.intp),
+            state["first"].astype(np.int64),
+            checked("exemplars", state["q"], ("M", len(human.dof_names))),
+            np.ascontiguousarray(state["features"], dtype=np.float32),
+            state["start_pose"],
+        )
+        ends = np.cumsum(state["n_nodes"])[:-1]
+        kinds = {"threshold": np.float64}
+        parts = [np.split(state[f"node_{name}"].astype(kinds.get(name, np.int32)), ends) for name in Tree._fields]
+        trees = [Tree(*tree) for tree in zip(*parts, strict=True)]
+        points = np.ascontiguousarray(exemplars.features[:, COLUMNS])
+        return self._take(
+            ForestModel(
+                self.settings,
+                labels,
+                exemplars,
+                _joined(labels, exemplars, trees, self.settings)[0],
+                Calibration(state["calibration"]),
+                Novelty(points, exemplars.first, state["novelty"]),
+                StandingPlace(state["place_pose"], state["place_spread"]),
+            )
+        )
 
     def start(self) -> None:
         """Forget the reach that was observed; where the person stands is remembered."""
@@ -137,7 +286,7 @@ class ForestClassifier(Classifier):
         if self._leaves is None:
             raise UsageError("classifier: wanted a posture observed first, got none since start; call update")
         weight = np.zeros(len(model.exemplars.q))
-        add_resemblance(self._leaves[0], *model.leaf_members, weight)
+        add_resemblance(self._leaves[0], *model.forest.leaf_members, weight)
         similar = np.flatnonzero(weight)
         difference = _moment(model.exemplars.features[similar]) - _moment(self._x)
         square = (difference**2).sum(axis=1)
@@ -161,14 +310,15 @@ class ForestClassifier(Classifier):
         T[:3, :3], T[:3, 3] = self._place.R, self._place.p
         return T
 
-    def _take(self, model: ForestModel) -> None:
+    def _take(self, model: ForestModel) -> ForestClassifier:
         self.model = model
         self._place = PlaceTracker(model.place)
         self._features = np.zeros((1, N_FEATURES))
         self._x = self._features.astype(np.float32)
-        prior = model.config.unknown_prior
+        prior = model.settings.unknown_prior
         self._prior_log_odds = math.log(prior / (1.0 - prior))
         self.start()
+        return self
 
     def _fitted(self) -> ForestModel:
         if self.model is None:

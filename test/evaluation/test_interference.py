@@ -26,7 +26,7 @@ from humanpred_ros.evaluation.simulation import RunSettings, World, training_lib
 from humanpred_ros.motion.csv_library import write_csv_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.recognition.gmm_config import GmmSettings
+from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.stomp.config import StompConfig
 
 RUNS = RunSettings(

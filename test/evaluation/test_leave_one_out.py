@@ -16,7 +16,7 @@ from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.occupancy.predictor import Predictor, predictor_type
-from humanpred_ros.recognition.gmm_config import GmmSettings
+from humanpred_ros.recognition.gmm_classifier import GmmSettings
 
 HUMAN = HumanModel.kinect12()
 GRID = VoxelGrid((-1.5, -1.5, -0.4), 0.05, (60, 60, 48))

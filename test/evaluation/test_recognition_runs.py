@@ -35,8 +35,8 @@ from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.reaching.place_classifier import GoalClassifier
 from humanpred_ros.reaching.place_model import GoalConfig
 from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
-from humanpred_ros.recognition.forest_config import ForestSettings
-from humanpred_ros.recognition.gmm_config import GmmSettings
+from humanpred_ros.recognition.forest import ForestSettings
+from humanpred_ros.recognition.gmm_classifier import GmmSettings
 
 GMM = ClassifierChoice("gmm", GmmSettings(n_components=2))
 LIBRARY = small_library(n_classes=3, n_motions=4, n_frames=30)

@@ -21,7 +21,7 @@ from humanpred_ros.evaluation.switching_runs import VARIANTS, Choosing, SwitchTa
 from humanpred_ros.motion.csv_library import write_csv_library
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.recognition.gmm_config import GmmSettings
+from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.stomp.config import StompConfig
 

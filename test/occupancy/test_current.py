@@ -10,7 +10,7 @@ from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy.current import AccumulatedOccupancyPredictor, CurrentOccupancyPredictor
-from humanpred_ros.occupancy.swept_volume import BodyVoxeliser, swept_volume
+from humanpred_ros.occupancy.swept_volume_predictor import BodyVoxeliser, swept_volume
 
 HUMAN = HumanModel.kinect12()
 GRID = VoxelGrid((-1.5, -1.5, -0.4), 0.05, (60, 60, 48))

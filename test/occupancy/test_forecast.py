@@ -24,7 +24,8 @@ from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.placement import placed, turn_and_shift
 from humanpred_ros.occupancy.forecast import ForecastConfig, ForecastPredictor
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
-from humanpred_ros.recognition.forest_classifier import ForestClassifier, ForestSettings
+from humanpred_ros.recognition.forest import ForestSettings
+from humanpred_ros.recognition.forest_classifier import ForestClassifier
 
 HUMAN = HumanModel.kinect12()
 GRID = VoxelGrid((-1.5, -1.5, -0.4), 0.05, (60, 60, 48))
@@ -38,7 +39,7 @@ def fitted() -> ForestClassifier:
 
 
 def predictor(grid: VoxelGrid = GRID, T_world_human: FloatArray | None = None, **changes: float) -> ForecastPredictor:
-    forest = ForestClassifier(HUMAN, model=fitted().model)
+    forest = fitted().fresh()
     T = np.eye(4) if T_world_human is None else T_world_human
     return ForecastPredictor(forest, grid, T, config=replace(ForecastConfig(), **changes))
 
@@ -171,7 +172,7 @@ def test_says_where_it_takes_the_person_to_stand() -> None:
 
 
 def test_a_recogniser_may_run_the_forest() -> None:
-    forest = ForestClassifier(HUMAN, model=fitted().model)
+    forest = fitted().fresh()
 
     class Twice(ForestClassifier):
         """Starts anew before every posture."""

@@ -19,7 +19,7 @@ from humanpred_ros.occupancy.body_parts import BodyParts
 from humanpred_ros.occupancy.point_kernels import NEVER_CERTAIN
 from humanpred_ros.occupancy.recorded_futures import RecordedFutures
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
-from humanpred_ros.recognition.forest_model import Exemplars
+from humanpred_ros.recognition.forest import Exemplars
 from humanpred_ros.recognition.reach_features import N_FEATURES
 
 HUMAN = HumanModel.kinect12()

@@ -14,8 +14,8 @@ from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy.predictor import PredictorRequest, make_predictor, predictor_type
-from humanpred_ros.recognition.forest_config import ForestSettings
-from humanpred_ros.recognition.gmm_config import GmmSettings
+from humanpred_ros.recognition.forest import ForestSettings
+from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.recognition.training import TrainedModel, train_model
 
 HUMAN = HumanModel.kinect12()
@@ -25,7 +25,9 @@ GRID = VoxelGrid((-1.5, -1.5, -0.4), 0.05, (60, 60, 48))
 @cache
 def trained() -> TrainedModel:
     return train_model(
-        small_library(2, 3), HUMAN, GmmSettings(n_components=4, max_iterations=10), ForestSettings(n_trees=10)
+        small_library(2, 3),
+        HUMAN,
+        {"gmm": GmmSettings(n_components=4, max_iterations=10), "forest": ForestSettings(n_trees=10)},
     )
 
 
@@ -77,7 +79,7 @@ def test_what_is_wrong_is_named() -> None:
                 HUMAN, GRID, np.eye(4), model=trained(), classifier="gmm", classifier_settings={"seed": 4}
             ),
         )
-    with pytest.raises(UsageError, match="forest: wanted no settings, got evidence"):
+    with pytest.raises(UsageError, match="forest: a trained one cannot change evidence"):
         make_predictor(
             "swept_volume",
             request(model=trained(), classifier_settings={"evidence": "mean"}),

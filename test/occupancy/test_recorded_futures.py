@@ -11,7 +11,7 @@ from small_library import small_library
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy.body_parts import BodyParts
 from humanpred_ros.occupancy.recorded_futures import MOMENTS, RecordedFutures
-from humanpred_ros.recognition.forest_model import Exemplars
+from humanpred_ros.recognition.forest import Exemplars
 
 HUMAN = HumanModel.kinect12()
 PARTS = BodyParts.of(HUMAN, 0.05, 2)

@@ -22,8 +22,6 @@ from humanpred_ros.reaching.learner import ReachWeights
 from humanpred_ros.reaching.places import GoalPlaces
 from humanpred_ros.reaching.reach_sources import ReachKnowledge, library_of_model, reach_weights
 from humanpred_ros.reaching.weights import save_weights
-from humanpred_ros.recognition.forest_config import ForestSettings
-from humanpred_ros.recognition.gmm_config import GmmSettings
 from humanpred_ros.recognition.training import TrainedModel, train_model
 
 HUMAN = HumanModel.kinect12()
@@ -37,7 +35,7 @@ def library() -> MotionLibrary:
 
 @cache
 def trained() -> TrainedModel:
-    return train_model(library(), HUMAN, GmmSettings(n_components=4, max_iterations=10), ForestSettings(n_trees=10))
+    return train_model(library(), HUMAN, {})
 
 
 def test_a_model_remembers_whole_motions_in_order() -> None:

@@ -6,9 +6,7 @@ import numpy as np
 from sklearn.tree import ExtraTreeClassifier
 
 from humanpred_ros.recognition.forest import Forest, add_resemblance, grow_tree
-from humanpred_ros.recognition.forest_config import ForestSettings
 
-CONFIG = ForestSettings(min_samples_leaf=3)
 RNG = np.random.default_rng(0)
 X = RNG.normal(size=(400, 6)).astype(np.float32)
 LABEL = (X[:, 0] > 0).astype(np.intp) + 2 * (X[:, 1] + X[:, 2] > 0).astype(np.intp)
@@ -16,7 +14,7 @@ LEARNED = RNG.random((400, 5)) < 0.6
 
 
 def grown() -> Forest:
-    trees = [grow_tree(X[LEARNED[:, b]], LABEL[LEARNED[:, b]], b, CONFIG) for b in range(5)]
+    trees = [grow_tree(X[LEARNED[:, b]], LABEL[LEARNED[:, b]], b, 3) for b in range(5)]
     return Forest.of_trees(trees, X, LABEL, LEARNED, 4)
 
 
@@ -54,10 +52,8 @@ def test_leaves_hold_at_least_as_many_as_asked_and_shares_sum_to_one() -> None:
 
 def test_a_sample_resembles_itself_most_and_resemblance_sums_to_one() -> None:
     forest = grown()
-    order = np.argsort(forest.sample_leaves, axis=None, kind="stable")
-    begin = np.concatenate([[0], np.cumsum(np.bincount(forest.sample_leaves.ravel(), minlength=len(forest.feature)))])
     for m in (0, 17, 399):
         weight = np.zeros(400)
-        add_resemblance(forest.sample_leaves[m], begin, (order // 5).astype(np.int32), weight)
+        add_resemblance(forest.sample_leaves[m], *forest.leaf_members, weight)
         assert weight.sum() == 1.0 or abs(weight.sum() - 1.0) < 1e-12
         assert weight[m] == weight.max()

@@ -17,7 +17,8 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary, resample
 from humanpred_ros.motion.placement import placed
-from humanpred_ros.recognition.forest_classifier import ForestClassifier, ForestSettings
+from humanpred_ros.recognition.forest import ForestSettings
+from humanpred_ros.recognition.forest_classifier import ForestClassifier
 from humanpred_ros.recognition.reach_features import motion_features, point_links
 
 HUMAN = HumanModel.kinect12()
@@ -35,7 +36,7 @@ def fitted() -> ForestClassifier:
 
 
 def fresh() -> ForestClassifier:
-    return ForestClassifier(HUMAN, model=fitted().model)
+    return fitted().fresh()
 
 
 def unseen(label: int = 1, seed: int = 99, n_frames: int = 60) -> Motion:

@@ -13,7 +13,8 @@ from humanpred_ros.errors import ArrayError, HumanPredError, MotionError, UsageE
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
-from humanpred_ros.recognition.forest_classifier import ForestClassifier, ForestSettings
+from humanpred_ros.recognition.forest import ForestSettings
+from humanpred_ros.recognition.forest_classifier import ForestClassifier
 from humanpred_ros.recognition.stream import StreamClassifier, StreamConfig
 
 
@@ -28,7 +29,7 @@ def fitted() -> ForestClassifier:
 
 
 def streaming(**settings: object) -> StreamClassifier:
-    return StreamClassifier(ForestClassifier(HumanModel.kinect12(), model=fitted().model), **settings)  # type: ignore[arg-type]
+    return StreamClassifier(fitted().fresh(), **settings)  # type: ignore[arg-type]
 
 
 def unseen(label: int, seed: int) -> Motion:
@@ -103,7 +104,7 @@ class Renamed(Classifier):
 def test_classes_may_change_at_rest_and_in_motion() -> None:
     t, q, begins = stream([2, 0])
     at_rest, moving = round(1.0 * 60), round((begins[1] + 0.8) * 60)
-    classifier = Renamed(ForestClassifier(HumanModel.kinect12(), model=fitted().model))
+    classifier = Renamed(fitted().fresh())
     changing, constant = StreamClassifier(classifier), streaming()
     for k, (posture, stamp) in enumerate(zip(q, t.tolist(), strict=True)):
         if k in (at_rest, moving):

@@ -20,8 +20,8 @@ from humanpred_ros.evaluation.graph_bench.run import GraphRun, GraphSetup, run_g
 from humanpred_ros.evaluation.graph_bench.usage import NodeUsage
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR, check_predictor, predictor_type
-from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
+from humanpred_ros.occupancy.predictor import check_predictor, needed_classifiers, predictor_type
+from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR
 from humanpred_ros.recognition.model_file import save_model
 from humanpred_ros.recognition.training import train_model
 from humanpred_ros.resources import locate
@@ -138,7 +138,8 @@ def bench_graph(case: GraphCase, folder: Path, report: Callable[[str], None] = l
     model = (folder / "model.npz").resolve()
     if predictor_type(case.predictor).needs_model:
         report("training the predictor")
-        save_model(train_model(training_part(library, motion, 0), HumanModel.kinect12()), model)
+        needed = dict.fromkeys(needed_classifiers(case.predictor))
+        save_model(train_model(training_part(library, motion, 0), HumanModel.kinect12(), needed), model)
     replayed = write_motion(folder / "back_and_forth", library, motion, case.seconds)
     results = []
     for goals in case.goals:

@@ -26,7 +26,7 @@ from humanpred_ros.evaluation.options import (
     progress_lines,
     read_library,
 )
-from humanpred_ros.recognition.gmm_config import GmmSettings
+from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.viewing.plots_occupancy import Moment, OccupancyCurves, save_occupancy_plot
 
 

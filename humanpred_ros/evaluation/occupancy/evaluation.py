@@ -37,8 +37,8 @@ from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.motion.placement import placed, start_pelvis_m, turn_and_shift
 from humanpred_ros.occupancy.predictor import predictor_type
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
-from humanpred_ros.recognition.class_mixtures import check_trainable
-from humanpred_ros.recognition.gmm_config import GmmSettings
+from humanpred_ros.recognition.classifier import check_trainable
+from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.robot.scene import load_scene
 
 #: How much of the motion drawn was seen, if that is one of the percents.

@@ -22,7 +22,7 @@ from humanpred_ros.motion.placement import placed
 from humanpred_ros.occupancy.predictor import Predictor
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
-from humanpred_ros.recognition.gmm_config import GmmSettings
+from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.recognition.training import REACHING_LINK
 
 #: Where a test motion ends: with the recording, or when the palm is farthest from where it started.

@@ -79,7 +79,7 @@ def bench_predictor(
     recognition = {}
     for name in ("forest", "gmm"):
         report(f"classifier {name}")
-        recognition[name] = Timing.of(update_seconds(model.classifier(name, human), people.played))
+        recognition[name] = Timing.of(update_seconds(model.classifier(name), people.played))
     update = {}
     for name in plugins.names(plugins.PREDICTORS):
         report(f"predictor {name}")

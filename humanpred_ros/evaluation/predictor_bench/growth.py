@@ -14,7 +14,8 @@ from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.placement import placed, turn_and_shift
-from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR, Predictor, PredictorRequest, make_predictor
+from humanpred_ros.occupancy.predictor import Predictor, PredictorRequest, make_predictor
+from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR
 from humanpred_ros.reaching.futures import ReachFuturesConfig
 from humanpred_ros.recognition.training import TrainedModel, train_model
 
@@ -73,9 +74,9 @@ def _with_classes(people: People, report: Callable[[str], None]) -> Iterator[Gro
     n = 2
     while n <= len(doubled.labels):
         report(f"{n} classes")
-        labels = doubled.labels[:n]
-        model = train_model(doubled.select(lambda motion, kept=labels: motion.label in kept), human)  # type: ignore[misc]
-        recognised = Timing.of(update_seconds(model.forest_classifier(human), people.played))
+        few = doubled.select(lambda motion, kept=doubled.labels[:n]: motion.label in kept)  # type: ignore[misc]
+        model = train_model(few, human, {DEFAULT_CLASSIFIER: None})
+        recognised = Timing.of(update_seconds(model.classifier(DEFAULT_CLASSIFIER), people.played))
         yield Growth("recognition of the default", "classes", n, recognised)
         updated = Timing.of(update_seconds(_default(model, human, grid), people.played))
         yield Growth(_UPDATE, "classes", n, updated)

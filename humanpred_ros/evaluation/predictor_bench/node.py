@@ -25,7 +25,7 @@ from humanpred_ros.evaluation.predictor_bench.people import People
 from humanpred_ros.evaluation.processes import NodeGroup, ParameterValue, free_domain_id
 from humanpred_ros.evaluation.target import Target
 from humanpred_ros.motion.bag_library import write_library_bag
-from humanpred_ros.occupancy.predictor import DEFAULT_PREDICTOR
+from humanpred_ros.plugins import DEFAULT_PREDICTOR
 from humanpred_ros.recognition.model_file import save_model
 from humanpred_ros.robot.scene import load_scene
 

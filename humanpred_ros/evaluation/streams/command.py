@@ -28,7 +28,7 @@ from humanpred_ros.evaluation.streams.evaluation import (
 from humanpred_ros.evaluation.streams.scores import OnsetFigures
 from humanpred_ros.evaluation.streams.truth import TruthConfig
 from humanpred_ros.evaluation.text import headline
-from humanpred_ros.recognition.classifier import DEFAULT_CLASSIFIER
+from humanpred_ros.plugins import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.onset import OnsetConfig
 
 #: Advice (in the file beside a library) that says a motion is mistracked, or may be.

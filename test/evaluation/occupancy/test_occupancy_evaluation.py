@@ -30,7 +30,7 @@ from humanpred_ros.motion.placement import placed, start_pelvis_m, turn_and_shif
 from humanpred_ros.occupancy.predictor import Prediction, Predictor
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
-from humanpred_ros.recognition.gmm_config import GmmSettings
+from humanpred_ros.recognition.gmm_classifier import GmmSettings
 
 HUMAN = HumanModel.kinect12()
 GMM = GmmSettings(n_components=3, max_iterations=10)
