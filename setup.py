@@ -108,6 +108,12 @@ setup(
             "forest = humanpred_ros.recognition.forest_classifier:ForestClassifier",
             "gmm = humanpred_ros.recognition.gmm_classifier:GmmClassifier",
         ],
+        "humanpred_ros.cost_terms": [
+            "obstacle = humanpred_ros.stomp.costs:ObstacleCost",
+            "human = humanpred_ros.stomp.costs:HumanOccupancyCost",
+            "smoothness = humanpred_ros.stomp.costs:SmoothnessCost",
+            "joint_limits = humanpred_ros.stomp.costs:JointLimitCost",
+        ],
         "humanpred_ros.predictors": [
             "forecast = humanpred_ros.occupancy.forecast:ForecastPredictor",
             "swept_volume = humanpred_ros.occupancy.swept_volume_predictor:SweptVolumePredictor",

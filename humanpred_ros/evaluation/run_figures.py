@@ -244,7 +244,7 @@ class ExecutedMotion:
     """All that an arm executed, from the trajectories of a run's decisions.
 
     Each takes over at its switch time, whatever was executed before; what was to take over at that time or later
-    is dropped (as in `planning.schedule.Schedule`, which forgets, and this does not).
+    is dropped (as in `planning.trajectory.Schedule`, which forgets, and this does not).
     """
 
     def __init__(self, q_start: ArrayLike, begin_s: float = 0.0) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 
+from humanpred_ros import plugins
 from humanpred_ros.errors import GoalUnreachableError, PlanningError
 from humanpred_ros.geometry.chain import reach_m
 from humanpred_ros.geometry.checks import FloatArray, checked
@@ -22,7 +24,8 @@ from humanpred_ros.planning.time_parameterisation import time_parameterise
 from humanpred_ros.planning.trajectory import TimedTrajectory
 from humanpred_ros.robot.arm import Arm
 from humanpred_ros.robot.goals import Goal
-from humanpred_ros.stomp.costs import CostTermRequest, HumanOccupancyCost, ObstacleCost, SmoothnessCost
+from humanpred_ros.stomp.arm_loop import COMPILED_TERMS
+from humanpred_ros.stomp.costs import CostTerm, CostTermRequest, HumanOccupancyCost, ObstacleCost
 from humanpred_ros.stomp.planner import StompPlanner
 
 #: What a timed trajectory may lose of clearance against its path, m, and what it may exceed the joint limits by, rad:
@@ -30,6 +33,8 @@ from humanpred_ros.stomp.planner import StompPlanner
 _SLACK_M, _SLACK_RAD = 0.005, 0.005
 #: Limits are written with about ten digits, configurations with six, rad.
 _LIMIT_TOLERANCE_RAD = 1e-6
+
+_log = logging.getLogger(__name__)
 
 
 class Problem:
@@ -60,6 +65,7 @@ class Problem:
         Raises:
             PlanningError: for no goals, two of one name, or configurations of another arm.
             GoalUnreachableError: for a goal all of whose configurations are outside the joint limits or not free.
+            UsageError: for a cost term whose name is unknown.
         """
         names = [goal.name for goal in goals]
         if not names or len(set(names)) != len(names):
@@ -75,14 +81,17 @@ class Problem:
         self.pool = ThreadPoolExecutor(config.threads) if config.threads > 1 else None
         self._request = CostTermRequest(arm.chain, arm.body_points(), spheres, field, config.padding_m, config.stomp)
         self.obstacles = ObstacleCost.build(self._request)
-        self._smoothness = SmoothnessCost.build(self._request)
+        self._terms = self._chosen_terms()
 
     def planner(self, occupancy: Occupancy) -> tuple[StompPlanner, HumanOccupancyCost]:
         """Return the planner for one predicted occupancy, and the cost of the person, which compares goals."""
         near = widened(occupancy, self.config.human_margin_m)
         request = replace(self._request, occupancy=near)
         human = HumanOccupancyCost.build(request)
-        terms = (self.obstacles, human, self._smoothness)
+        terms = [
+            human if term is HumanOccupancyCost else term.build(request) if isinstance(term, type) else term
+            for term in self._terms
+        ]
         return StompPlanner(terms, self.chain.lower, self.chain.upper, self.config.stomp), human
 
     def person(self, occupancy: Occupancy) -> Person:
@@ -153,3 +162,18 @@ class Problem:
                 "and clear of obstacles"
             )
         return np.array(usable)
+
+    def _chosen_terms(self) -> list[CostTerm | type[CostTerm]]:
+        """Return the chosen cost terms; of those made anew for every occupancy, their class."""
+        names = self.config.cost_terms
+        classes = [plugins.load(plugins.COST_TERMS, name, CostTerm) for name in names]  # type: ignore[type-abstract]
+        if set(classes) != COMPILED_TERMS:
+            _log.warning(
+                "cost terms %s are evaluated one by one, which is slower; only obstacle, human and smoothness without "
+                "others run compiled",
+                ", ".join(names),
+            )
+        return [
+            term if term.per_occupancy else self.obstacles if term is ObstacleCost else term.build(self._request)
+            for term in classes
+        ]

@@ -28,6 +28,9 @@ class ReplannerConfig(Settings):
     selection: Literal["human_and_length", "total"] = setting(
         "human_and_length", "what goals are compared by: human_and_length, or total of all cost terms"
     )
+    cost_terms: tuple[str, ...] = setting(
+        ("obstacle", "human", "smoothness"), "what trajectories are charged for: names of cost terms, of plug-ins too"
+    )
     length_weight: float = setting(0.002, "cost of a unit of configuration distance, in the comparison", low=0.0)
     rest_weight: float = setting(
         0.2, "configuration distance for which an arm at its goal counts as if it went on there", low=0.0
@@ -70,7 +73,11 @@ class ReplannerConfig(Settings):
     stomp: StompConfig = setting(StompConfig(), "STOMP's own settings")
 
     def check(self) -> None:
-        """Refuse a certain probability below the likely one."""
+        """Refuse a certain probability below the likely one, and no cost terms or one of them twice."""
+        if not self.cost_terms or len(set(self.cost_terms)) < len(self.cost_terms):
+            raise SettingsError(
+                f"ReplannerConfig cost_terms: wanted one or more names, each once, got {self.cost_terms}"
+            )
         if self.likely_probability > self.certain_probability:
             raise SettingsError(
                 "ReplannerConfig likely_probability: wanted at most certain_probability "

@@ -18,13 +18,17 @@ from humanpred_ros.stomp.costs import CostTerm, HumanOccupancyCost, ObstacleCost
 from humanpred_ros.stomp.iteration_kernels import begin_update, converged, finish_update
 from humanpred_ros.stomp.smoothness import acceleration_costs
 
+#: The terms that `iterate` evaluates: these three and no others.
+COMPILED_TERMS = {ObstacleCost, HumanOccupancyCost, SmoothnessCost}
+
 
 def arm_terms(terms: Sequence[CostTerm], n_waypoints: int) -> tuple[Any, ...] | None:
-    """Return what `iterate` wants of an obstacle, a human and a smoothness term; None for any other terms."""
-    match terms:
-        case [ObstacleCost() as obstacle, HumanOccupancyCost() as human, SmoothnessCost() as smoothness]:
-            return obstacle.for_kernel(n_waypoints), human.for_kernel(), np.float32(smoothness.weight)
-    return None
+    """Return what `iterate` wants of an obstacle, a human and a smoothness term in any order; None for other terms."""
+    found: dict[type, Any] = {type(term): term for term in terms}
+    if len(terms) != len(found) or found.keys() != COMPILED_TERMS:
+        return None
+    weight = np.float32(found[SmoothnessCost].weight)
+    return found[ObstacleCost].for_kernel(n_waypoints), found[HumanOccupancyCost].for_kernel(), weight
 
 
 @fast

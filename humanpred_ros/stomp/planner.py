@@ -62,7 +62,7 @@ class StompPlanner:
 
     Attributes:
         terms, lower, upper, config: as given; limits (D,).
-        compiled: whether whole iterations run compiled: for an obstacle, a human and a smoothness term, in this order.
+        compiled: whether whole iterations run compiled: for an obstacle, a human and a smoothness term.
     """
 
     def __init__(

@@ -194,6 +194,10 @@ def test_noise_can_be_changed_for_one_plan() -> None:
         subject.plan(LINE, np.random.default_rng(0), noise_std=(0.1, 0.1, 0.1))
 
 
+class Foreign(SmoothnessCost):
+    """The same costs, of a class that the compiled loop does not know."""
+
+
 @settings(max_examples=12)
 @given(seed=st.integers(0, 2**32 - 1), reused=st.sampled_from([0, 3]))
 def test_the_compiled_loop_does_what_calling_term_by_term_does(seed: int, reused: int) -> None:
@@ -207,7 +211,8 @@ def test_the_compiled_loop_does_what_calling_term_by_term_does(seed: int, reused
     human = HumanOccupancyCost(chain, random_points(rng, 5), occupancy, 0.5)
     config = StompConfig(waypoints=30, iterations=4, rollouts=8, reused=reused, noise_std=0.01)
     terms = [obstacles, human, SmoothnessCost(10.0)]
-    both = [StompPlanner(order, [-3.0] * 5, [3.0] * 5, config) for order in (terms, [terms[2], *terms[:2]])]
+    uncompiled = [*terms[:2], Foreign(10.0)]
+    both = [StompPlanner(each, [-3.0] * 5, [3.0] * 5, config) for each in (terms, uncompiled)]
     assert both[0].compiled
     assert not both[1].compiled
     line = straight(rng.uniform(-2.0, 2.0, 5), rng.uniform(-2.0, 2.0, 5), 30)
