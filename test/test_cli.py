@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 import pytest
 import yaml
+from csv_libraries import write_csv_library
 from paths import REPOSITORY, shared_data
 
 from humanpred_ros.bags.messages import string
@@ -21,7 +22,6 @@ from humanpred_ros.cli import COMMANDS, add_flags, main
 from humanpred_ros.human.kinect import KINECT12_DOFS
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import write_library_bag
-from humanpred_ros.motion.csv_library import write_csv_library
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.settings import Settings, setting

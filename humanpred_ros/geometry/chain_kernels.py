@@ -169,46 +169,6 @@ def jacobians(
     return out
 
 
-@exact
-def pulled_back(
-    q: FloatArray,
-    kind: NDArray[np.int64],
-    sign: FloatArray,
-    offset: FloatArray,
-    first: NDArray[np.int64],
-    local: FloatArray,
-    points: FloatArray,
-    gradient: FloatArray,
-) -> FloatArray:
-    """Return the gradients (M, J) over the DoFs of something whose gradients over the points are (M, P, 3)."""
-    count, joints = q.shape
-    n_points = len(local)
-    out = np.zeros((count, joints))
-    axis, origin = np.empty((joints, 3)), np.empty((joints, 3))
-    force, moment = np.zeros(3), np.zeros(3)
-    for m in range(count):
-        _axes(q[m], kind, sign, offset, axis, origin)
-        force[:] = 0.0
-        moment[:] = 0.0  # about the root's origin
-        last = n_points
-        for j in range(joints - 1, -1, -1):
-            for k in range(first[j + 1], last):  # the points this joint moves and the next one does not
-                for a in range(3):
-                    b, c = (a + 1) % 3, (a + 2) % 3
-                    force[a] += gradient[m, k, a]
-                    moment[a] += points[m, k, b] * gradient[m, k, c] - points[m, k, c] * gradient[m, k, b]
-            last = first[j + 1]
-            total = 0.0
-            for a in range(3):
-                b, c = (a + 1) % 3, (a + 2) % 3
-                if kind[j] >= 3:
-                    total += axis[j, a] * force[a]
-                else:
-                    total += axis[j, a] * (moment[a] - origin[j, b] * force[c] + origin[j, c] * force[b])
-            out[m, j] = total
-    return out
-
-
 @exact_part
 def _axes(
     q: FloatArray,

@@ -1,7 +1,7 @@
-"""Points fixed to the moving chain of a human, because planning for a human needs them for many postures at once.
+"""Points fixed to the moving chain of a human, for many postures at once, as planning for a human needs them.
 
 `HumanModel.link_poses` computes every link of the tree, 10 microseconds per posture; here only the points asked for are
-computed (the six joint centres of the 23-DoF human: 0.1 microseconds in float32), with their derivatives.
+computed (six points of the 23-DoF human: 0.1 microseconds in float32), with their derivatives.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from humanpred_ros.errors import HumanModelError
 from humanpred_ros.geometry import chain_kernels
 from humanpred_ros.geometry.checks import FloatArray, checked
-from humanpred_ros.human.model import JOINT_CENTRES, HumanModel
+from humanpred_ros.human.model import HumanModel
 
 
 class _Chain(NamedTuple):
@@ -69,18 +69,6 @@ class ChainPoints:
             for dtype in (np.float64, np.float32)
         )
 
-    @classmethod
-    def joint_centres(cls, model: HumanModel, names: Sequence[str] = tuple(JOINT_CENTRES)) -> ChainPoints:
-        """Return the joint centres of P2 by name: Pelvis, TorsoX, rShoulderX, rElbowZ, rWristX, rPalm.
-
-        Raises:
-            HumanModelError: other names, or a model without the links.
-        """
-        unknown = [name for name in names if name not in JOINT_CENTRES]
-        if unknown:
-            raise HumanModelError(f"joint centres: wanted some of {', '.join(JOINT_CENTRES)}; got {', '.join(unknown)}")
-        return cls(model, [JOINT_CENTRES[name] for name in names])
-
     def positions(self, q: ArrayLike) -> NDArray[Any]:
         """Return the points (..., P, 3) of postures (..., D) in the tracker's frame, in the precision of the postures.
 
@@ -102,21 +90,6 @@ class ChainPoints:
         points = chain_kernels.positions(postures, *self._double, False)
         J = chain_kernels.jacobians(postures, *self._double, points)[:, self._back]
         return np.asarray(J.reshape(*shape, len(self.links), 3, self._dofs))
-
-    def pull_back(self, q: ArrayLike, gradient: ArrayLike) -> FloatArray:
-        """Return the gradients (..., D) over the DoFs of a scalar with gradients (..., P, 3) over the points, float64.
-
-        The product with `jacobian`, at a small part of its cost.
-
-        Raises:
-            HumanModelError: wrong postures.
-            ArrayError: gradients of another shape.
-        """
-        postures, shape = self._flat(np.asarray(q, dtype=np.float64))
-        slopes = checked("gradient", gradient, (*shape, len(self.links), 3)).reshape(-1, len(self.links), 3)
-        points = chain_kernels.positions(postures, *self._double, False)
-        pulled = chain_kernels.pulled_back(postures, *self._double, points, slopes[:, self._order])
-        return np.asarray(pulled.reshape(*shape, self._dofs))
 
     def _flat(self, q: ArrayLike) -> tuple[NDArray[Any], tuple[int, ...]]:
         postures = np.asarray(q)

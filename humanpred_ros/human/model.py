@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -20,15 +19,6 @@ from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.description import Body, Joints
 from humanpred_ros.geometry.urdf import parse_description
 from humanpred_ros.resources import share_file
-
-#: P2's names of the joint centres of trunk and right arm (docs/papers.md, P2 human): each is the origin of a link.
-JOINT_CENTRES = MappingProxyType(
-    {
-        "Pelvis": "pelvis", "TorsoX": "torso", "rShoulderX": "right_shoulder", "rElbowZ": "right_elbow",
-        "rWristX": "right_wrist", "rPalm": "right_palm",
-    }
-)  # fmt: skip
-
 
 #: Names users know the humans by, and whose they are; the default first.
 HUMANS = {
@@ -171,18 +161,6 @@ class HumanModel:
         """
         poses = self.link_poses(q)
         return {name: poses[..., i, :3, 3] for i, name in enumerate(self.link_names)}
-
-    def joint_centres(self, q: ArrayLike) -> dict[str, FloatArray]:
-        """Return the joint centres of trunk and right arm by P2's names (`JOINT_CENTRES`): name -> (T, 3) or (3,).
-
-        Raises:
-            HumanModelError: as `link_poses`, or a model that lacks one of the links.
-        """
-        lacking = [link for link in JOINT_CENTRES.values() if link not in self.link_names]
-        if lacking:
-            raise HumanModelError(f"joint centres: model {self.name} lacks the links {', '.join(lacking)}; add them")
-        places = self.forward(q)
-        return {name: places[link] for name, link in JOINT_CENTRES.items()}
 
     def body_poses(self, q: ArrayLike) -> FloatArray:
         """Return the poses (T, B, 4, 4) of `bodies` for postures (T, D); (B, 4, 4) for one posture (D,)."""

@@ -100,34 +100,6 @@ def read_csv_library(
     return MotionLibrary(name, tuple(motions), provenance)
 
 
-def write_csv_library(library: MotionLibrary, folder: str | Path) -> None:
-    """Write `class_<k>.csv` files with stamps; reading them gives the same numbers, ordered by class.
-
-    Raises:
-        LibraryFormatError: the folder holds class files already, or a motion has no class or has
-            skeleton points, which this form cannot hold.
-    """
-    folder = Path(folder)
-    for motion in library:
-        if motion.label is None or motion.label < 0:
-            raise LibraryFormatError(f"motion {motion.name}: wanted a class number >= 0 for the file name; label it")
-        if motion.points_m is not None:
-            raise LibraryFormatError(f"motion {motion.name}: CSV cannot hold its skeleton points; write a bag instead")
-    if folder.exists() and (not folder.is_dir() or class_files(folder)):
-        raise LibraryFormatError(f"{folder}: wanted a folder without class files, this one has some; choose another")
-    folder.mkdir(parents=True, exist_ok=True)
-    header = ",".join(("traj_id", "frame", "t_s", *library.dof_names))
-    for label in library.labels:
-        lines = [header]
-        for motion in (m for m in library if m.label == label):
-            start_s = motion.t_s[0]
-            for frame, (t, posture) in enumerate(zip(motion.t_s - start_s, motion.q, strict=True)):
-                # repr of a float is the shortest text that reads back as the same number.
-                numbers = ",".join(repr(float(value)) for value in (t, *posture))
-                lines.append(f"{motion.index},{frame},{numbers}")
-        (folder / f"class_{label}.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
 def _read_class_file(path: Path, dof_names: tuple[str, ...]) -> Table:
     if path.name.lower().startswith("compound"):
         return read_table(path, ("frame", *dof_names), headless=True)

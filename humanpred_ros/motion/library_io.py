@@ -8,7 +8,7 @@ from pathlib import Path
 
 from humanpred_ros.errors import LibraryFormatError
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.bag_library import read_library_bag, write_library_bag
+from humanpred_ros.motion.bag_library import read_library_bag
 from humanpred_ros.motion.csv_library import DEFAULT_FRAME_PERIOD_S, class_files, read_csv_library
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.motion.reach_recordings import ACTIVE, FRAME_ID, load_reach_recordings
@@ -45,22 +45,6 @@ def load_library(path: str | Path, *, frame_period_s: float = DEFAULT_FRAME_PERI
         f"{path}: wanted a folder with class_<k>.csv or <name>_{ACTIVE}.csv files, a rosbag2 directory, or an .mcap "
         "file, got none of these"
     )
-
-
-def import_library(
-    source: str | Path,
-    out: str | Path,
-    *,
-    frame_period_s: float = DEFAULT_FRAME_PERIOD_S,
-    overwrite: bool = False,
-) -> Path:
-    """Write the library at `source` as the bag `<out>/<library name>/` and return that folder.
-
-    Raises:
-        LibraryFormatError, MotionError, BagError: as `load_library`; or the bag exists and `overwrite` is not given.
-    """
-    library = load_library(source, frame_period_s=frame_period_s)
-    return write_library_bag(library, Path(out) / library.name, overwrite=overwrite)
 
 
 def _columns(path: Path) -> set[str]:

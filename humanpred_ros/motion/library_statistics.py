@@ -1,13 +1,14 @@
-"""Says in numbers what the motions of libraries are like, to compare them without showing anybody's recordings.
+"""Aggregate numbers of motion libraries, to compare libraries without showing anybody's recordings.
 
-Everything is seen by the resting person (forwards, left, up of the pelvis, or displacement from the resting palm), so
-that libraries recorded in different frames compare. The palm is the model's, from the postures.
+Everything is relative to the resting person (forwards, left, up of the pelvis, or displacement from the resting palm),
+so that libraries recorded in different frames compare. The palm is the model's, from the postures.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,55 +25,30 @@ _N_PHASES = 101
 _SPEED_STEP = 4
 
 
-@dataclass(frozen=True)
-class Spread:
-    """Quartiles and outer percentiles of something over the motions of a library."""
+class Spread(NamedTuple):
+    """Median and outer percentiles of something over the motions of a library."""
 
     p5: float
-    p25: float
     p50: float
-    p75: float
     p95: float
 
     @classmethod
     def of(cls, values: FloatArray) -> Spread:
         """Return the spread of values (N,)."""
-        return cls(*(float(value) for value in np.percentile(values, (5, 25, 50, 75, 95))))
+        return cls(*(float(value) for value in np.percentile(values, (5, 50, 95))))
 
     def text(self, digits: int = 2, scale: float = 1.0) -> str:
         """Return `median (5 % to 95 %)`."""
-        low, middle, high = (f"{scale * value:.{digits}f}" for value in (self.p5, self.p50, self.p95))
+        low, middle, high = (f"{scale * value:.{digits}f}" for value in self)
         return f"{middle} ({low} to {high})"
 
 
 @dataclass(frozen=True)
 class LibraryStatistics:
-    """Aggregate facts of a library of C classes with D degrees of freedom; lengths in metres, angles in radians.
+    """Aggregates of a library of C classes with D degrees of freedom; lengths in metres, angles in radians.
 
-    Attributes:
-        name, n_motions, n_frames: of the library.
-        labels: C class labels, motions_per_class: C counts.
-        stamps: where the times come from (provenance); durations and speeds are worth no more than that.
-        duration_s: length of the motions.
-        frame_period_s: time steps of all motions.
-        mean_speed_m_s, peak_speed_m_s: of the palm, over 4 % of a motion.
-        path_m: length of the palm's path.
-        reach_m: greatest distance of the palm from where it rested.
-        end_m: its distance from there in the last frame.
-        leave_phase, apex_phase: share of the motion at which the palm has left by 10 % of its reach; at which it is
-            farthest.
-        distance_m: (11,) median distance of the palm from rest at 0, 10, ... 100 % of the motion.
-        goal_m: (C, 3) median goal of each class (the palm when farthest), forwards, left and up of the resting pelvis.
-        goal_sd_m: (C, 3) standard deviation of the goals in the tracker's frame, axis by axis.
-        goal_spacing_m: (C,) distance of each class's median goal from the nearest other class's.
-        extent_m: (3, 2) 1 and 99 % of the palm's places, forwards, left and up of the resting pelvis.
-        dof_names: D names.
-        dof_range: (D,) median over the motions of the range within a motion.
-        dof_start_sd: (D,) standard deviation of the first posture.
-        class_told: (11,) share of the motions whose class the nearest class mean tells from the posture at 0, 10, ...
-            100 % of the motion alone; motions of the same index (recorded in one round) are left out together.
-            At 0 % anything above `chance` means that the start posture gives the class away.
-        chance: share that guessing gets right.
+    Speeds are the palm's, over 4 % of a motion. Phases are shares of a motion. Places (`goal_m`, `extent_m`) are
+    forwards, left and up of the resting pelvis.
     """
 
     name: str
@@ -80,31 +56,26 @@ class LibraryStatistics:
     n_frames: int
     labels: tuple[int, ...]
     motions_per_class: tuple[int, ...]
-    stamps: str
+    stamps: str  # where the times come from (provenance); durations and speeds are worth no more than that
     duration_s: Spread
     frame_period_s: Spread
     mean_speed_m_s: Spread
     peak_speed_m_s: Spread
-    path_m: Spread
-    reach_m: Spread
-    end_m: Spread
-    leave_phase: Spread
-    apex_phase: Spread
-    distance_m: FloatArray
-    goal_m: FloatArray
-    goal_sd_m: FloatArray
-    goal_spacing_m: FloatArray
-    extent_m: FloatArray
+    path_m: Spread  # length of the palm's path
+    reach_m: Spread  # greatest distance of the palm from where it rested
+    end_m: Spread  # its distance from there in the last frame
+    leave_phase: Spread  # when the palm has left by 10 % of its reach
+    apex_phase: Spread  # when it is farthest
+    distance_m: FloatArray  # (11,) median distance of the palm from rest at 0, 10, ... 100 % of the motion
+    goal_m: FloatArray  # (C, 3) median place of the palm when farthest, by class
+    goal_sd_m: FloatArray  # (C, 3) standard deviation of that place along the tracker's axes
+    goal_spacing_m: FloatArray  # (C,) distance to the nearest other class's
+    extent_m: FloatArray  # (3, 2) 1 and 99 % of the palm's places
     dof_names: tuple[str, ...]
-    dof_range: FloatArray
-    dof_start_sd: FloatArray
-    class_told: FloatArray
-    chance: float
-
-    @property
-    def start_leakage(self) -> float:
-        """Share of motions whose class the first posture tells, above `chance` if recorded class by class."""
-        return float(self.class_told[0])
+    dof_range: FloatArray  # (D,) median over the motions of the range within a motion
+    dof_start_sd: FloatArray  # (D,) standard deviation of the first posture
+    class_told: FloatArray  # (11,) share of the motions whose class one posture tells (`_told_by_nearest_mean`)
+    chance: float  # share that guessing gets right; class_told[0] above it: the start gives the class away
 
 
 def library_statistics(library: MotionLibrary, *, model: HumanModel | None = None) -> LibraryStatistics:
@@ -265,7 +236,8 @@ def _seen_at_rest(places: FloatArray, rest_q: FloatArray, human: HumanModel) -> 
 def _told_by_nearest_mean(postures: FloatArray, labels: NDArray[np.int64], index: NDArray[np.int64]) -> float:
     """Return how often the class mean nearest to a posture (N, D) is its class's, in the DoFs' standard deviations.
 
-    Leaving out a single motion would push its own class's mean away from it, and chance would come out too low.
+    Motions of the same index (recorded in one round) are left out together. Leaving out a single motion would move its
+    own class's mean away from it, and chance would come out too low.
     """
     scaled = postures / np.maximum(postures.std(axis=0), 1e-9)
     right = 0

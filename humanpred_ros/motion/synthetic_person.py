@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.human.chain_points import ChainPoints
 from humanpred_ros.human.kinect import KINECT12_DOFS
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.settings import Settings, setting
@@ -209,10 +209,7 @@ class ReachingBody:
         self.human = model or HumanModel.kinect12()
         self.human.check_dofs(KINECT12_DOFS)
         self.config = config or BodyConfig()
-        # One posture at a time with derivatives: here pinocchio is faster than the batch of HumanModel.
-        self._pin = pin.buildModelFromXML(self.human.urdf)
-        self._data = self._pin.createData()
-        self._palm = self._pin.getFrameId("right_palm")
+        self._palm = ChainPoints(self.human, ["right_palm"])
         table = np.array([PARTICIPATION[name] for name in KINECT12_DOFS])
         self._per_metre, self._spread = table[:, :2], table[:, 2]
 
@@ -258,7 +255,7 @@ class ReachingBody:
         weight = np.where(_BODY, self.config.give, 1.0) ** 2 * self._spread**2
         damping = self.config.palm_tolerance_m**2 * np.eye(3)
         for _ in range(self.config.iterations):
-            place, J = self._palm_and_jacobian(q)
+            place, J = self._palm.positions(q)[:, 0], self._palm.jacobian(q)[:, 0]
             short = preferred - q
             gain = weight[:, None] * np.swapaxes(J, 1, 2)
             error = palm_m - place - np.einsum("tij,tj->ti", J, short)
@@ -270,15 +267,6 @@ class ReachingBody:
             if done:
                 break
         return q
-
-    def _palm_and_jacobian(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the palm (T, 3) and its derivatives (T, 3, 12) by the DoFs."""
-        place, J = np.empty((len(q), 3)), np.empty((len(q), 3, q.shape[1]))
-        for k, posture in enumerate(q):
-            jacobian = pin.computeFrameJacobian(self._pin, self._data, posture, self._palm, pin.LOCAL_WORLD_ALIGNED)
-            J[k] = jacobian[:3]
-            place[k] = self._data.oMf[self._palm].translation
-        return place, J
 
 
 def slow_noise(t_s: FloatArray, time_constant_s: float, n: int, rng: np.random.Generator) -> FloatArray:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from csv_libraries import write_csv_library
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
@@ -29,7 +30,6 @@ from humanpred_ros.evaluation.framework import (
     print_table,
     progress_lines,
 )
-from humanpred_ros.motion.csv_library import write_csv_library
 
 
 def shown(table: Table, width: int = 80) -> list[str]:

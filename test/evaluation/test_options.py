@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from csv_libraries import write_csv_library
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
@@ -25,7 +26,6 @@ from humanpred_ros.evaluation.options import (
     progress_lines,
     read_library,
 )
-from humanpred_ros.motion.csv_library import write_csv_library
 
 COMMANDS = sorted(path.parent.name for path in Path(evaluation.__path__[0]).glob("*/command.py"))
 #: What a command cannot do without; the folders do not exist, so looking into them is an error of its own.

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from csv_libraries import write_csv_library
 from paths import shared_data
 from rich.console import Console
 from small_library import small_library
@@ -17,7 +18,6 @@ from humanpred_ros.errors import HumanPredError, LibraryFormatError
 from humanpred_ros.evaluation.published import advice_beside, read_reference, reference_beside
 from humanpred_ros.evaluation.recognition import RecognitionSettings, run
 from humanpred_ros.motion.bag_library import write_library_bag
-from humanpred_ros.motion.csv_library import write_csv_library
 
 CURVE = "phase_percent,recognition_rate\n" + "".join(f"{p},{p / 100}\n" for p in range(1, 101))
 ADVICE = (

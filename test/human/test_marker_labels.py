@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from joint_centres import joint_centres
 from paths import shared_data
 
 from humanpred_ros.errors import ArrayError, MotionError
@@ -42,7 +43,7 @@ def detections(points: np.ndarray, hidden: np.ndarray, rng: np.random.Generator,
 
 
 def centre_error_m(a: np.ndarray, b: np.ndarray) -> float:
-    found, wanted = skeleton.model.joint_centres(a), skeleton.model.joint_centres(b)
+    found, wanted = joint_centres(skeleton.model, a), joint_centres(skeleton.model, b)
     return float(max(np.linalg.norm(found[name] - wanted[name], axis=1).max() for name in found))
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from joint_centres import joint_centres
 from paths import shared_data
 
 from humanpred_ros.errors import ArrayError, HumanModelError, MotionError
@@ -46,7 +47,7 @@ def difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def centre_error_m(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    found, wanted = skeleton.model.joint_centres(a), skeleton.model.joint_centres(b)
+    found, wanted = joint_centres(skeleton.model, a), joint_centres(skeleton.model, b)
     return np.array([np.linalg.norm(found[name] - wanted[name], axis=1).max() for name in found])
 
 

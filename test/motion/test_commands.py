@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from csv_libraries import write_csv_library
 from mocap_library import mocap_library
 from rich.console import Console
 
@@ -14,7 +15,6 @@ from humanpred_ros.errors import LibraryFormatError, UsageError
 from humanpred_ros.human.kinect import KINECT12_DOFS
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.commands import ImportSettings, import_libraries
-from humanpred_ros.motion.csv_library import write_csv_library
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary, require_plain_name
 

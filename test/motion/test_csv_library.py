@@ -1,18 +1,18 @@
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from csv_libraries import write_csv_library
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from paths import shared_data
 
 from humanpred_ros.errors import LibraryFormatError
-from humanpred_ros.motion.csv_library import KINECT12_DOFS, read_csv_library, write_csv_library
-from humanpred_ros.motion.motion import SKELETON_POINTS, Motion, MotionLibrary
+from humanpred_ros.motion.csv_library import KINECT12_DOFS, read_csv_library
+from humanpred_ros.motion.motion import Motion, MotionLibrary
 
 HEADER = "traj_id,frame," + ",".join(KINECT12_DOFS)
 ROW = ",".join(["0.5"] * 12)
@@ -144,19 +144,3 @@ def test_what_is_written_reads_back_bit_for_bit(data: st.DataObject, tmp_path_fa
     write_csv_library(MotionLibrary("out", tuple(motions)), folder)
     for old, new in zip(motions, read_csv_library(folder, dof_names=("slide", "turn")), strict=True):
         assert (new.name, new.t_s.tobytes(), new.q.tobytes()) == (old.name, old.t_s.tobytes(), old.q.tobytes())
-
-
-def test_writing_loses_nothing_silently(tmp_path: Path) -> None:
-    t_s, q = np.array([0.0, 0.1]), np.zeros((2, 1))
-    points = np.zeros((2, len(SKELETON_POINTS), 3))
-    for motion, message in (
-        (Motion(t_s, q, ("turn",)), "class number"),
-        (Motion(t_s, q, ("turn",), 0, points_m=points), "write a bag instead"),
-    ):
-        with pytest.raises(LibraryFormatError, match=message):
-            write_csv_library(MotionLibrary("x", (motion,)), tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-    library = MotionLibrary("x", (Motion(t_s, q, ("turn",), 0),))
-    write_csv_library(library, tmp_path / "out")
-    with pytest.raises(LibraryFormatError, match=re.escape("choose another")):
-        write_csv_library(library, tmp_path / "out")

@@ -4,13 +4,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from csv_libraries import write_csv_library
 from paths import shared_data
 
 from humanpred_ros.errors import BagError, LibraryFormatError
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.csv_library import KINECT12_DOFS, write_csv_library
-from humanpred_ros.motion.library_io import import_library, load_library
+from humanpred_ros.motion.bag_library import write_library_bag
+from humanpred_ros.motion.csv_library import KINECT12_DOFS
+from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
+
+
+def import_library(source: Path, out: Path, *, overwrite: bool = False) -> Path:
+    library = load_library(source)
+    return write_library_bag(library, out / library.name, overwrite=overwrite)
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from joint_centres import joint_centres
 from reaching_people import MODEL, reach
 from rich.console import Console
 
@@ -195,7 +196,7 @@ def test_gaps_are_filled_and_told(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert main(words) == 0
     assert "4.1 % of the markers hidden" in capsys.readouterr().out
     (motion,) = load_library(tmp_path / "out" / "session")
-    found, wanted = MODEL.joint_centres(motion.q), MODEL.joint_centres(reach(7, 60)[1])
+    found, wanted = joint_centres(MODEL, motion.q), joint_centres(MODEL, reach(7, 60)[1])
     assert max(np.linalg.norm(found[name] - wanted[name], axis=1).max() for name in found) < 0.005
 
 

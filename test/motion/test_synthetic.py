@@ -76,7 +76,7 @@ def test_classes_are_recorded_in_turns(library: MotionLibrary) -> None:
 
 def test_the_start_does_not_give_the_class_away(statistics: LibraryStatistics) -> None:
     # 96 guesses with chance 1/8: more than 0.25 happens once in a thousand libraries.
-    assert statistics.start_leakage < 0.25
+    assert statistics.class_told[0] < 0.25
 
 
 def test_reaches_can_be_told_apart_later_but_not_early(statistics: LibraryStatistics) -> None:

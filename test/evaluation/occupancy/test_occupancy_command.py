@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from csv_libraries import write_csv_library
 from rich.console import Console
 from small_library import small_library
 
 from humanpred_ros.errors import HumanPredError
 from humanpred_ros.evaluation.occupancy.command import add_arguments, run
 from humanpred_ros.motion.bag_library import write_library_bag
-from humanpred_ros.motion.csv_library import write_csv_library
 
 OPTIONS = ("--predictor", "current,swept_volume", "--components", "2", "--jobs", "1", "--every", "4")
 
