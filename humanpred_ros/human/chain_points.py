@@ -19,7 +19,7 @@ from humanpred_ros.human.model import HumanModel
 
 
 class _Chain(NamedTuple):
-    """What `chain_kernels` wants, of one precision."""
+    """The arguments of `chain_kernels`, in one precision."""
 
     kind: NDArray[np.int64]
     sign: NDArray[Any]
@@ -104,7 +104,7 @@ class ChainPoints:
 
 
 def _kinds(model: HumanModel) -> tuple[NDArray[np.int64], FloatArray]:
-    """Return each joint's kind and sign as `chain_kernels` wants them (HumanModelError if it cannot be said so)."""
+    """Return each joint's kind and sign for `chain_kernels` (HumanModelError for other kinds of joints)."""
     joints = model.joints
     angular = np.stack([joints.K[:, 2, 1], joints.K[:, 0, 2], joints.K[:, 1, 0]], axis=1)
     both = np.concatenate([angular, joints.linear], axis=1)  # turning about x, y, z, sliding along x, y, z

@@ -50,24 +50,16 @@ KINECT12_DOFS = (
 
 
 class KinectConfig(Settings):
-    """What still counts as a person."""
+    """What still counts as a person.
 
-    bone_ratio: tuple[float, float] = setting(
-        (0.5, 1.6), "shortest and longest plausible bone, as a share of the model's", low=0.0
-    )
-    arm_trans_m: tuple[float, float] = setting(
-        (-0.1, 0.25), "plausible rArmTrans; P1's libraries hold -0.06 to 0.22 m without the marked outliers", unit="m"
-    )
-    straight_elbow_rad: float = setting(
-        0.05,
-        "an elbow straighter than this does not show the roll of the upper arm: a hand seen 2 cm off turns it by about "
-        "90 degrees here",
-        unit="rad",
-        low=0.0,
-    )
-    aligned_arm_rad: float = setting(
-        0.02, "an upper arm closer than this to the torso's x axis does not show rShoulderX", unit="rad", low=0.0
-    )
+    P1's libraries hold rArmTrans from -0.06 to 0.22 m without the marked outliers. Of an elbow bent by 0.05 rad, a hand
+    seen 2 cm off turns the upper arm's roll by about 90 degrees.
+    """
+
+    bone_ratio: tuple[float, float] = setting((0.5, 1.6), "plausible bones, as shares of the model's", low=0.0)
+    arm_trans_m: tuple[float, float] = setting((-0.1, 0.25), "plausible rArmTrans", unit="m")
+    straight_elbow_rad: float = setting(0.05, "straighter elbows do not show the arm's roll", unit="rad", low=0.0)
+    aligned_arm_rad: float = setting(0.02, "arms closer to the torso's x axis hide rShoulderX", unit="rad", low=0.0)
 
 
 @dataclass(frozen=True)

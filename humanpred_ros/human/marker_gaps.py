@@ -41,7 +41,7 @@ class FilledMarkers:
 
 
 def measure_shapes(markers: MarkerSet, points_m: FloatArray) -> dict[str, FloatArray]:
-    """Return each segment's shape (K, 3) from frames (T, M, 3) that show all of it; segments never seen whole lack.
+    """Return each segment's shape (K, 3) from frames (T, M, 3) that show all of it, if there are any.
 
     Shapes are turned as the marker set's, their middles at 0. The shoulder's is (2, 3), turned as the torso's shape.
     """
@@ -75,7 +75,7 @@ def fill_markers(
         markers: what the columns are.
         points_m: labelled markers, NaN where hidden.
         t_s: (T,) stamps, rising.
-        shapes: each segment's shape, as `measure_shapes` returns them; segments that lack are only interpolated.
+        shapes: each segment's shape, as `measure_shapes` returns them; the others are only interpolated.
         config: what is filled.
 
     Raises:
@@ -145,7 +145,7 @@ def _plausible(
         a, b = (markers.names[markers.of_segment[segment][seen[k]]] for k in swap)
         raise MotionError(
             f"markers: wanted each label on its own marker, but in frame {frame} the {segment} keeps its shape only "
-            f"with {a} and {b} exchanged; the labels are swapped: correct them or label the recording anew"
+            f"with {a} and {b} exchanged; the labels are swapped: correct them or label the recording again"
         )
     best, best_misfit, best_off = row, np.inf, 0.0
     for k in seen:

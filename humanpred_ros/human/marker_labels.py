@@ -158,7 +158,7 @@ def find_start(
 
 
 def _shoulder(shape: FloatArray, seen: FloatArray, R: FloatArray, centre: FloatArray, limit_m: float) -> FloatArray:
-    """Return the two shoulder markers (2, 3): the pair that is apart as the torso's orientation wants it."""
+    """Return the two shoulder markers (2, 3): the pair that the torso's orientation fits."""
     apart = R @ (shape[0] - shape[1])
     off = np.linalg.norm(seen[:, None] - seen[None] - apart, axis=2)
     off[np.linalg.norm(seen - centre, axis=1) > SHOULDER_REACH_M] = np.inf
@@ -326,7 +326,7 @@ class MarkerLabeller:
         shape += ((now - p[0]) @ R[0] - shape) / self._looks[segment]
 
     def _completed(self, start: FloatArray) -> FloatArray:
-        """Return the start (M, 3) with hidden markers put where their segment's others want them."""
+        """Return the start (M, 3) with hidden markers put where their segment's others place them."""
         places = start.copy()
         for segment, own in self.markers.of_segment.items():
             here = seen_in(start[own])

@@ -84,7 +84,7 @@ class MarkerSkeleton:
         model: the 23-DoF human; P2's if left out.
         markers: what the person wears; `UPPER_BODY` if left out.
         config: what is filled.
-        shapes: each segment's shape (see `calibrated`); measured anew on every recording if left out.
+        shapes: each segment's shape (see `calibrated`); measured on every recording if left out.
 
     Raises:
         HumanModelError: another set of DoFs, or links that are lacking.

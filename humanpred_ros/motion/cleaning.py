@@ -1,4 +1,4 @@
-"""Finds what a tracker got wrong in a library; says so, and changes or drops only what it is asked to."""
+"""Flags tracking errors in a library, and changes or drops only what it is asked to."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from humanpred_ros.errors import LibraryFormatError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary, is_angle, unwrap_angles
+from humanpred_ros.settings import Settings, setting
 
 #: Reasons of flags, with the unit of their value and what they mean.
 REASONS = {
@@ -22,43 +23,31 @@ REASONS = {
     "goal": ("m", "goal far from those of its class"),
     "label": ("m", "goal far from those of its class, and where another class has them"),
 }
-#: Reasons for which a motion is of no use to learn its class from.
+#: Reasons for which a motion is not learned from.
 DROP_REASONS = frozenset({"wild", "goal", "label"})
 
 #: A median absolute deviation times this estimates a Gaussian's standard deviation.
 _MAD_TO_SD = 1.4826
 
 
-@dataclass(frozen=True)
-class CleaningConfig:
+class CleaningConfig(Settings):
     """What counts as wrong.
 
-    Attributes:
-        gap_factor: a time step longer than this many times the motion's median step is a gap.
-        joint_speed_rad_s: faster one-frame steps of a joint are jumps. Own judgement: shoulder and elbow of a
-            quick reach stay below about 10 rad/s.
-        slide_speed_m_s: the same for DoFs in metres; a sprinter runs at 10 m/s, a person at a table at less than 1.
-        isolation: a jump is also this many times the median step of the frames around it, so that a fast but
-            steady movement (stamps assumed too close, say) is not one.
-        room_m: a pelvis further than this from the library's median pelvis has left the room.
-        goal_deviations: a goal is far if its distance from the class's median goal exceeds the median distance by
-            this many robust standard deviations. More than the customary 3.5: distances scatter less regularly
-            than a Gaussian does, and a good motion lost costs more than a fair one kept.
-        goal_noise_m: the robust standard deviation is taken to be at least this (hand position of a depth camera),
-            so that a library without noise has no outliers.
-        label_deviations: a far goal lies at another class's place if within this many deviations there.
-        least_motions: classes with fewer motions have no usual goal.
+    The limits of speed are own judgement: shoulder and elbow of a quick reach stay below about 10 rad/s; a person at a
+    table moves at less than 1 m/s. Six deviations are more than the customary 3.5: distances
+    scatter less regularly than a Gaussian does, and a good motion lost costs more than a fair one kept. The least noise
+    is a depth camera's of the hand; with it a library without noise has no outliers.
     """
 
-    gap_factor: float = 5.0
-    joint_speed_rad_s: float = 30.0
-    slide_speed_m_s: float = 5.0
-    isolation: float = 5.0
-    room_m: float = 5.0
-    goal_deviations: float = 6.0
-    goal_noise_m: float = 0.02
-    label_deviations: float = 3.5
-    least_motions: int = 4
+    gap_factor: float = setting(5.0, "a time step longer than this many median steps is a gap", low=1.0)
+    joint_speed_rad_s: float = setting(30.0, "faster one-frame steps of a joint are jumps", unit="rad/s", low=0.0)
+    slide_speed_m_s: float = setting(5.0, "faster one-frame steps of a DoF in metres are jumps", unit="m/s", low=0.0)
+    isolation: float = setting(5.0, "a jump is also this many times the median step of the frames around it", low=0.0)
+    room_m: float = setting(5.0, "a pelvis this far from the library's median has left the room", unit="m", low=0.0)
+    goal_deviations: float = setting(6.0, "a goal beyond this many robust standard deviations is far", low=0.0)
+    goal_noise_m: float = setting(0.02, "the robust standard deviation is at least this", unit="m", low=0.0)
+    label_deviations: float = setting(3.5, "a far goal within this of another class's is mislabelled", low=0.0)
+    least_motions: int = setting(4, "classes with fewer motions have no usual goal", low=1)
 
 
 @dataclass(frozen=True)

@@ -74,8 +74,8 @@ class LibraryStatistics:
     dof_names: tuple[str, ...]
     dof_range: FloatArray  # (D,) median over the motions of the range within a motion
     dof_start_sd: FloatArray  # (D,) standard deviation of the first posture
-    class_told: FloatArray  # (11,) share of the motions whose class one posture tells (`_told_by_nearest_mean`)
-    chance: float  # share that guessing gets right; class_told[0] above it: the start gives the class away
+    class_found: FloatArray  # (11,) share of the motions whose class one posture shows (`_found_by_nearest_mean`)
+    chance: float  # share that guessing gets right; class_found[0] above it: the start gives the class away
 
 
 def library_statistics(library: MotionLibrary, *, model: HumanModel | None = None) -> LibraryStatistics:
@@ -139,7 +139,7 @@ def library_statistics(library: MotionLibrary, *, model: HumanModel | None = Non
         dof_names=library.dof_names,
         dof_range=np.median(np.ptp(q, axis=1), axis=0),
         dof_start_sd=q[:, 0].std(axis=0),
-        class_told=np.array([_told_by_nearest_mean(q[:, k], labels, index) for k in tens]),
+        class_found=np.array([_found_by_nearest_mean(q[:, k], labels, index) for k in tens]),
         chance=1.0 / len(library.labels),
     )
 
@@ -184,9 +184,9 @@ def comparison_markdown(a: MotionLibrary, b: MotionLibrary) -> str:
         "Motions flagged as wild or off their goal (`humanpred_ros.motion.cleaning`) are left out, angles unwrapped. "
         "Medians, with the 5th and 95th percentiles in brackets; ranges are 1st to 99th percentiles.",
         _table(["", *names], [[what, *cells] for what, cells in rows]),
-        "Share of motions whose class is told from one posture alone, by the nearest class mean (motions of a round "
+        "Share of motions whose class the nearest class mean gives from one posture alone (motions of a round "
         f"left out together). Guessing gets {guessing}; more at 0 % would mean that the start gives the class away.",
-        _table(["at", *tens], [[s.name, *(f"{share:.2f}" for share in s.class_told)] for s in both]),
+        _table(["at", *tens], [[s.name, *(f"{share:.2f}" for share in s.class_found)] for s in both]),
         "Median distance of the palm from where it rested, m.",
         _table(["at", *tens], [[s.name, *(f"{value:.2f}" for value in s.distance_m)] for s in both]),
         "Goals: median place of the palm when farthest; forwards, left and up of the resting pelvis, m. The libraries "
@@ -233,7 +233,7 @@ def _seen_at_rest(places: FloatArray, rest_q: FloatArray, human: HumanModel) -> 
     return seen
 
 
-def _told_by_nearest_mean(postures: FloatArray, labels: NDArray[np.int64], index: NDArray[np.int64]) -> float:
+def _found_by_nearest_mean(postures: FloatArray, labels: NDArray[np.int64], index: NDArray[np.int64]) -> float:
     """Return how often the class mean nearest to a posture (N, D) is its class's, in the DoFs' standard deviations.
 
     Motions of the same index (recorded in one round) are left out together. Leaving out a single motion would move its

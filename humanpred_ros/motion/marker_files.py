@@ -3,7 +3,7 @@
 - C3D: labels, frame rate and unit are in the file. Needs the package ezc3d (`pip install 'humanpred_ros[markers]'`).
 - TRC: a table with tabs; labels stand above X1 Y1 Z1, unit and rate in the third line.
 - CSV with one header: columns `t` (or `time`, `time_s`) in seconds and `<marker>_x`, `<marker>_y`, `<marker>_z` (also
-  with a point, colon or blank before x, y, z, in any case). Without a column of times the frame rate has to be told.
+  with a point, colon or blank before x, y, z, in any case). Without a column of times the frame rate has to be given.
 - CSV with two headers, as Vicon Nexus exports "Trajectories": labels above columns X, Y, Z, rate in the second line,
   units in the line below.
 
@@ -83,7 +83,7 @@ def read_marker_file(path: Path, rate_hz: float | None = None) -> MarkerRecordin
     return MarkerRecording(path, tuple(names), np.where(hidden[..., None], np.nan, points), t_s, unit)
 
 
-#: What a reader returns: labels, points (T, M, 3), stamps (T,) if there are any, unit and frame rate if they are told.
+#: What a reader returns: labels, points (T, M, 3), and if the file has them: stamps (T,), unit, frame rate.
 _Content = tuple[list[str], FloatArray, FloatArray | None, str | None, float | None]
 
 

@@ -80,13 +80,13 @@ class MarkerNames(PersonNames):
             )
         if self.persons and set(self.persons) != {ACTIVE, PASSIVE}:
             raise SettingsError(
-                f"persons: wanted {ACTIVE} (who reaches) and {PASSIVE}, got {', '.join(self.persons)}; for one person "
-                "leave `persons` out"
+                f"persons: wanted {ACTIVE} (the person who reaches) and {PASSIVE}, got "
+                f"{', '.join(self.persons)}; for one person leave `persons` out"
             )
         if self.persons and (self.labels == "shape" or self.markers or self.prefix or self.extra or self.calibration):
             raise SettingsError(
                 "persons: wanted prefix, markers, extra and calibration at each person, and labels from the file: "
-                "shapes do not tell two people apart"
+                "shapes do not distinguish two people"
             )
         if any(label < 0 for label in self.classes.values()):
             raise SettingsError(f"classes: wanted numbers from 0, got {dict(self.classes)}")

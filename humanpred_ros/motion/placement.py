@@ -1,4 +1,4 @@
-"""The same motion made by somebody who stands elsewhere: what shows whether a prediction follows the person.
+"""Moves a motion to another place, to show whether a prediction follows the person.
 
 Only turns about the vertical are possible: a body's frame, like a tracker's world, has z up.
 """

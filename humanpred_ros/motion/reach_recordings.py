@@ -43,34 +43,20 @@ _BACK_SHARE = 0.25
 
 
 class ReachRecordingConfig(Settings):
-    """What is refused and what is marked in a recording of two people."""
+    """What is refused and what is marked in a recording of two people.
 
-    synchrony_s: float = setting(
-        0.003, "stamps of the two people may differ by so much, about a third of a frame at 100 Hz", unit="s", low=0.0
-    )
-    gap_factor: float = setting(3.0, "a step of time longer than this many times the median is noted as a gap", low=1.0)
-    jump_speed_m_s: float = setting(
-        3.0,
-        "a faster one-frame step of elbow, wrist or palm is a jump, if it is isolated; own judgement: P2's reaches "
-        "stay below 2.1 m/s, its jumps begin at 3.6 m/s",
-        unit="m/s",
-        low=0.0,
-    )
-    jump_speed_rad_s: float = setting(
-        50.0,
-        "the same for an angle, which can jump though no watched link does (a hand turned about itself, or three "
-        "angles that flip to others of the same posture); P2's people stay below 29 rad/s",
-        unit="rad/s",
-        low=0.0,
-    )
-    jump_isolation: float = setting(
-        3.0, "a jump is also this many times the median speed within five frames; fast movement is not", low=0.0
-    )
-    least_frames: int = setting(
-        7,
-        "a shorter motion is not learned from: the jerk's difference spans 7 frames (docs/papers.md, P2 features)",
-        low=2,
-    )
+    Frames at 100 Hz differ by three times the synchrony. The limits of jumps are own judgement: P2's reaches stay below
+    2.1 m/s, its jumps begin at 3.6 m/s, and its people stay below 29 rad/s. Angles can jump though no link does: a hand
+    turned about itself, or three angles that flip to others of the same posture. The jerk's difference spans 7
+    frames (docs/papers.md, P2 features).
+    """
+
+    synchrony_s: float = setting(0.003, "stamps of the two people may differ by so much", unit="s", low=0.0)
+    gap_factor: float = setting(3.0, "a longer step of time than this many medians is noted as a gap", low=1.0)
+    jump_speed_m_s: float = setting(3.0, "faster steps of elbow, wrist or palm are jumps", unit="m/s", low=0.0)
+    jump_speed_rad_s: float = setting(50.0, "faster steps of an angle are jumps", unit="rad/s", low=0.0)
+    jump_isolation: float = setting(3.0, "a jump is also this many times the median speed around it", low=0.0)
+    least_frames: int = setting(7, "a shorter motion is not learned from", low=2)
 
 
 @dataclass(frozen=True)
@@ -137,7 +123,7 @@ class ReachRecording:
 
     @property
     def usable_for_learning(self) -> bool:
-        """Whether nothing speaks against learning from it."""
+        """Whether it may be learned from."""
         return self.unfit is None
 
 
@@ -349,15 +335,15 @@ def check_units(where: str, t_s: FloatArray, q: FloatArray, dof_names: Sequence[
 
 
 def doubts(active: Motion, passive: Motion, model: HumanModel, hand: str = "right_palm") -> list[str]:
-    """Return sentences on whether the files are swapped, nobody reaches, or the hand comes back."""
+    """Return sentences on why the files may be swapped, or the recording may hold no reach."""
     (mine, end_m), (theirs, _) = (_way_m(motion, model, hand) for motion in (active, passive))
     if theirs > max(mine, _LEAST_WAY_M):
         return [
-            f"the partner's hand goes farther ({theirs:.2f} m) than that of who reaches ({mine:.2f} m); check that the "
-            "files are not swapped"
+            f"the partner's hand goes farther ({theirs:.2f} m) than that of the person who reaches ({mine:.2f} m); "
+            "check that the files are not swapped"
         ]
     if mine < _LEAST_WAY_M:
-        return [f"the hand of who reaches goes only {mine:.2f} m; check that this is a reach"]
+        return [f"the hand of the person who reaches goes only {mine:.2f} m; check that this is a reach"]
     if end_m < _BACK_SHARE * mine:
         return [
             f"the hand ends {end_m:.2f} m from where it began, after {mine:.2f} m: a reach and the way back? cut it at "

@@ -66,7 +66,10 @@ class DepthCameraConfig(Settings):
     """A camera like the first Kinect with OpenNI's tracker.
 
     Sizes are chosen so that the resulting postures tremble as much as library_b's at rest (palm 3 mm within 0.3 s,
-    1 mm from frame to frame).
+    1 mm from frame to frame). Trackers fit the trunk as one piece: in library_b its twist TorsoZ stays within 0.004 rad
+    at rest, while its yaw varies by 0.08. So the trunk shifts as a whole, and turns by as much on a lever of 0.25 m;
+    each of its points has a small error of its own. Elbows, hands, knees and feet are thin and move: their errors are
+    larger, and independent of each other.
     """
 
     position_m: tuple[float, float, float] = setting(
@@ -74,35 +77,12 @@ class DepthCameraConfig(Settings):
     )
     rate_hz: float = setting(30.0, "frames per second", unit="Hz", low=1e-3)
     stamp_jitter_s: float = setting(0.0015, "standard deviation of the stamps' delay", unit="s", low=0.0)
-    noise_m: float = setting(
-        0.0025,
-        "standard deviation of the trunk's place across the line of sight, before smoothing; it turns by as much on a "
-        "lever of 0.25 m",
-        unit="m",
-        low=0.0,
-    )
+    noise_m: float = setting(0.0025, "deviation of the trunk across the line of sight, unsmoothed", unit="m", low=0.0)
     depth_factor: float = setting(2.0, "how much larger errors are along the line of sight", low=0.0)
-    limb_factor: float = setting(
-        1.6,
-        "how much larger they are for elbows, hands, knees and feet, which are thin and move; theirs are independent "
-        "of each other",
-        low=0.0,
-    )
-    trunk_play: float = setting(
-        0.05,
-        "each trunk point's own error as a share of the trunk's; trackers fit the trunk as one piece: in library_b its "
-        "twist TorsoZ stays within 0.004 rad at rest, while its yaw varies by 0.08",
-        low=0.0,
-    )
-    smoothing: float = setting(
-        0.6, "share of the previous output in each output (OpenNI's smoothing factor)", low=0.0, high=0.999
-    )
-    wander_m: float = setting(
-        0.004,
-        "standard deviation of the slow error, likewise (the tracker's model of the body slips)",
-        unit="m",
-        low=0.0,
-    )
+    limb_factor: float = setting(1.6, "how much larger errors are for elbows, hands, knees and feet", low=0.0)
+    trunk_play: float = setting(0.05, "each trunk point's own error as a share of the trunk's", low=0.0)
+    smoothing: float = setting(0.6, "share of the previous output in each output", low=0.0, high=0.999)
+    wander_m: float = setting(0.004, "deviation of the slow error (the body's model slips)", unit="m", low=0.0)
     wander_s: float = setting(0.8, "its time constant", unit="s", low=1e-9)
     frame_loss: float = setting(0.01, "share of frames that never arrive", low=0.0, high=0.999)
     losses_per_s: float = setting(0.015, "how often a point gets lost", unit="1/s", low=0.0)
@@ -130,12 +110,7 @@ class ReachGeneratorConfig(Settings):
         "its standard deviation: the usual one (robust) of library_b's first frames, less what the tracker adds",
         low=0.0,
     )
-    round_share: float = setting(
-        0.45,
-        "share of that variance that is common to the motions of a round; the rest drifts from motion to motion",
-        low=0.0,
-        high=1.0,
-    )
+    round_share: float = setting(0.45, "share of that variance common to a round's motions", low=0.0, high=1.0)
     drift_memory: float = setting(0.7, "share of one motion's drift that is left at the next", low=0.0, high=0.999)
     goal_spread_m: tuple[float, float, float] = setting(
         (0.016, 0.020, 0.013), "standard deviation of where the palm stops, x, y, z", unit="m", low=0.0
@@ -268,21 +243,21 @@ def generate_library(config: ReachGeneratorConfig, rng: np.random.Generator) -> 
 def _delivered(recording: Observed, skeleton: KinectSkeleton, label: int, index: int, frame_id: str) -> Motion:
     """Return the motion a tracker delivers: the frames whose points determine a posture."""
     postures = skeleton.postures(recording.points_m)
-    told = postures.complete
-    if told.sum() < _LEAST_FRAMES:
+    usable = postures.complete
+    if usable.sum() < _LEAST_FRAMES:
         raise MotionError(
             f"synthetic motion {label}/{index}: wanted at least {_LEAST_FRAMES} frames with a posture, got "
-            f"{told.sum()}; lower the camera's losses or raise its rate"
+            f"{usable.sum()}; lower the camera's losses or raise its rate"
         )
-    t_s = recording.t_s[told]
+    t_s = recording.t_s[usable]
     return Motion(
         t_s=t_s - t_s[0],
-        q=np.round(postures.q[told] / _POSTURE_STEP) * _POSTURE_STEP,
+        q=np.round(postures.q[usable] / _POSTURE_STEP) * _POSTURE_STEP,
         dof_names=KINECT12_DOFS,
         label=label,
         index=index,
         frame_id=frame_id,
-        points_m=recording.points_m[told],
+        points_m=recording.points_m[usable],
     )
 
 

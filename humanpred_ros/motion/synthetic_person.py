@@ -44,65 +44,39 @@ class HandPathConfig(Settings):
     """How a person moves the hand: medians and spreads.
 
     Times: library_a's recorded stamps say that the middle half of a reach takes 0.46 s, library_b's phases how that
-    compares with resting and returning (its motions then last 2.5 to 4 s). Shapes are library_b's.
+    compares with resting and returning (its motions then last 2.5 to 4 s). Shapes are library_b's. After the wait, the
+    hand's first 5 cm take another 0.2 s; people stop a recording before the hand lies still.
     """
 
-    wait_s: tuple[float, float] = setting(
-        (0.42, 0.18),
-        "rest before the hand moves, mean and standard deviation; the hand's first 5 cm take another 0.2 s",
-        unit="s",
-        low=0.0,
-    )
+    wait_s: tuple[float, float] = setting((0.42, 0.18), "rest before moving, mean and deviation", unit="s", low=0.0)
     wait_least_s: float = setting(0.08, "shortest rest", unit="s", low=_LEAST)
     reach_s: float = setting(1.15, "length of the stroke out", unit="s", low=_LEAST)
     return_s: float = setting(1.70, "length of the stroke back", unit="s", low=_LEAST)
-    dwell_s: float = setting(
-        0.15, "mean of the exponentially distributed rest at the place, after correcting", unit="s", low=0.0
-    )
+    dwell_s: float = setting(0.15, "mean of the exponentially distributed rest at the place", unit="s", low=0.0)
     tail_s: float = setting(0.15, "longest recording after the return, uniform from 0", unit="s", low=0.0)
     spread: float = setting(0.10, "standard deviation of the logarithm of each of these lengths", low=0.0)
     tempo_spread: float = setting(0.08, "the same for a factor common to all parts of one motion", low=0.0)
-    tail_of_return: float = setting(
-        0.75,
-        "share of the return that is always recorded; people stop a recording before the hand lies still",
-        low=_LEAST,
-        high=1.0,
-    )
+    tail_of_return: float = setting(0.75, "share of the return that is always recorded", low=_LEAST, high=1.0)
     correction_share: float = setting(0.5, "share of the reaches that are corrected", low=0.0, high=1.0)
-    correction_miss: float = setting(
-        0.06, "standard deviation of the first stroke's miss per axis, as a share of the distance", low=0.0
-    )
+    correction_miss: float = setting(0.06, "deviation of the first stroke's miss per axis, of the distance", low=0.0)
     correction_s: float = setting(0.40, "length of a correcting stroke", unit="s", low=_LEAST)
-    rise_out: float = setting(
-        0.06, "mean rise of the hand above the straight line on the way out, as a share of the distance", low=0.0
-    )
+    rise_out: float = setting(0.06, "mean rise above the straight line on the way out, of the distance", low=0.0)
     rise_back: float = setting(0.17, "the same on the way back", low=0.0)
-    bow_spread: float = setting(
-        0.05, "standard deviation of the rise, and of the deviation in the other directions", low=0.0
-    )
-    skew_spread: float = setting(
-        0.08, "standard deviation of the exponent that makes a stroke start or end faster", low=0.0
-    )
+    bow_spread: float = setting(0.05, "deviation of the rise, and of the bow in the other directions", low=0.0)
+    skew_spread: float = setting(0.08, "deviation of the exponent that skews a stroke in time", low=0.0)
 
 
 class BodyConfig(Settings):
-    """How regular a body is."""
+    """How regular a body is.
 
-    lag_s: float = setting(
-        0.12, "pelvis and torso follow the hand this much later (library_b: 4 to 5 of 100 phases)", unit="s", low=0.0
-    )
-    habit: float = setting(
-        0.4,
-        "how far motions differ from the regular one, as a share of the spreads in PARTICIPATION (which contain "
-        "library_b's tracking errors); with 0.4 a classifier recognises reaches as early as library_b's",
-        low=0.0,
-    )
-    give: float = setting(
-        0.5,
-        "how easily pelvis and torso give way for the palm to be where it should, as a share of the spreads (the arm: "
-        "all of them); below 1, so that the arm compensates for the body's lag",
-        low=0.0,
-    )
+    The lag is library_b's (4 to 5 of 100 phases). PARTICIPATION's spreads contain library_b's tracking errors: with a
+    habit of 0.4 of them a classifier recognises reaches as early as library_b's. Pelvis and torso give way less than
+    the arm, so that the arm compensates for the body's lag.
+    """
+
+    lag_s: float = setting(0.12, "pelvis and torso follow the hand this much later", unit="s", low=0.0)
+    habit: float = setting(0.4, "how far motions differ from the regular one, of PARTICIPATION's spreads", low=0.0)
+    give: float = setting(0.5, "how easily pelvis and torso give way to the palm, of the spreads; the arm: 1", low=0.0)
     sway: float = setting(0.05, "the same share for the slow swaying within a motion", low=0.0)
     sway_s: float = setting(0.7, "time constant of the swaying", unit="s", low=_LEAST)
     palm_tolerance_m: float = setting(0.002, "how exactly the palm follows the hand's path", unit="m", low=_LEAST)

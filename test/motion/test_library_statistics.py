@@ -67,10 +67,10 @@ def test_a_start_that_gives_the_class_away_is_found() -> None:
     leaky = MotionLibrary(
         "leaky", tuple(sliding(m.label, m.index, 0.5, offset=0.01 * m.index + 0.2 * m.label) for m in honest)
     )
-    assert library_statistics(leaky).class_told[0] == 1.0
+    assert library_statistics(leaky).class_found[0] == 1.0
     # Same starts in both classes: nothing to go by but chance, and at the turning point everything.
-    assert library_statistics(honest).class_told[0] == pytest.approx(0.5, abs=0.01)
-    assert library_statistics(honest).class_told[5] == 1.0
+    assert library_statistics(honest).class_found[0] == pytest.approx(0.5, abs=0.01)
+    assert library_statistics(honest).class_found[5] == 1.0
     assert library_statistics(honest).chance == 0.5
 
 
@@ -84,7 +84,7 @@ def test_leaving_out_rounds_keeps_chance_at_chance() -> None:
             for j in range(10)
             for label in range(8)
         ]
-        told.append(library_statistics(MotionLibrary("noise", tuple(motions))).class_told[0])
+        told.append(library_statistics(MotionLibrary("noise", tuple(motions))).class_found[0])
     assert np.mean(told) == pytest.approx(1 / 8, abs=0.05)
 
 
@@ -115,9 +115,9 @@ def test_library_a_leaks_and_library_b_does_not() -> None:
     """Facts, section 0: recorded class by class, library_a's start gives the class away; library_b was interleaved."""
     a = load_library(shared_data("iros2013/library_a"))
     b = clean_library(load_library(shared_data("iros2013/library_b")), drop=True)
-    assert library_statistics(a).class_told[0] > 0.4
+    assert library_statistics(a).class_found[0] > 0.4
     found = library_statistics(b)
-    assert found.class_told[0] < 0.2
+    assert found.class_found[0] < 0.2
     assert 0.5 < found.apex_phase.p50 < 0.6
     assert 0.2 < found.goal_spacing_m.min() < found.goal_spacing_m.max() < 0.29
 
@@ -127,7 +127,7 @@ def test_the_shipped_library_is_labelled_synthetic_and_small() -> None:
     library = load_library(bag)
     assert (library.labels, len(library)) == (tuple(range(8)), 200)
     assert library.provenance["source"].startswith("synthetic")
-    assert library_statistics(library).class_told[0] < 0.22
+    assert library_statistics(library).class_found[0] < 0.22
     assert sum(file.stat().st_size for file in (REPOSITORY / "bags").rglob("*") if file.is_file()) < 5 * 2**20
     document = (REPOSITORY / "bags" / "STATISTICS.md").read_text(encoding="utf-8")
     assert "humanpred generate" in document

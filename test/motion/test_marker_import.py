@@ -262,7 +262,7 @@ def test_recordings_that_cannot_be_right_are_refused(
         ({"axes": ["x", "z", "y"]}, "axes: .*right-handed"),
         ({"axes": ["x", "up", "y"]}, "axes: .*-z"),
         ({"persons": {"ann": {}}}, "persons: wanted active .* got ann"),
-        ({"persons": {"active": {}, "passive": {}}, "labels": "shape"}, "shapes do not tell two people apart"),
+        ({"persons": {"active": {}, "passive": {}}, "labels": "shape"}, "shapes do not distinguish two people"),
         ({"markers": {"C8": "Neck"}}, "got C8"),
         ({"markers": {"C7": 7}}, "markers.C7"),
         ({"classes": {"*": -1}}, "classes"),

@@ -76,13 +76,13 @@ def test_classes_are_recorded_in_turns(library: MotionLibrary) -> None:
 
 def test_the_start_does_not_give_the_class_away(statistics: LibraryStatistics) -> None:
     # 96 guesses with chance 1/8: more than 0.25 happens once in a thousand libraries.
-    assert statistics.class_told[0] < 0.25
+    assert statistics.class_found[0] < 0.25
 
 
 def test_reaches_can_be_told_apart_later_but_not_early(statistics: LibraryStatistics) -> None:
-    assert statistics.class_told[2] < 0.3
-    assert statistics.class_told[3] < 0.6
-    assert statistics.class_told[5:7].min() > 0.6
+    assert statistics.class_found[2] < 0.3
+    assert statistics.class_found[3] < 0.6
+    assert statistics.class_found[5:7].min() > 0.6
 
 
 def test_it_resembles_the_recorded_libraries(statistics: LibraryStatistics) -> None:
