@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from csv_libraries import write_csv_library
 from paths import REPOSITORY, shared_data
 from rich.console import Console
 from small_library import small_library
@@ -23,7 +24,6 @@ from humanpred_ros.evaluation.interference import InterferenceSettings, measure,
 from humanpred_ros.evaluation.interference_runs import METHODS, Runs, RunTask
 from humanpred_ros.evaluation.run_figures import RunFigures
 from humanpred_ros.evaluation.simulation import RunSettings, World, training_library
-from humanpred_ros.motion.csv_library import write_csv_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.recognition.gmm_classifier import GmmSettings

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from csv_libraries import write_csv_library
 from paths import shared_data
 from rich.console import Console
 from small_library import small_library
@@ -18,7 +19,6 @@ from humanpred_ros.evaluation.framework import Report, present
 from humanpred_ros.evaluation.simulation import RunSettings
 from humanpred_ros.evaluation.switching import SwitchingSettings, draw_switching, measure, tasks_of
 from humanpred_ros.evaluation.switching_runs import VARIANTS, Choosing, SwitchTask
-from humanpred_ros.motion.csv_library import write_csv_library
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.recognition.gmm_classifier import GmmSettings
