@@ -11,6 +11,8 @@ from humanpred_ros import plugins
 from humanpred_ros.errors import UsageError
 from humanpred_ros.recognition.classifier import Classifier
 
+pytestmark = pytest.mark.core
+
 GROUP = plugins.CLASSIFIERS
 
 

@@ -7,6 +7,8 @@ import pytest
 from humanpred_ros.errors import SettingsError
 from humanpred_ros.settings import Settings, facts_of, setting, setting_of
 
+pytestmark = pytest.mark.core
+
 
 class Part(Settings):
     """Settings of a part."""

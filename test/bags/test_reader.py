@@ -21,6 +21,8 @@ from humanpred_ros.bags.salvage import check_bag, salvage_bag
 from humanpred_ros.bags.writer import BagWriter, StorageOptions
 from humanpred_ros.errors import BagError
 
+pytestmark = pytest.mark.core
+
 shared_fixture = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
 
 

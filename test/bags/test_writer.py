@@ -24,6 +24,8 @@ from humanpred_ros.bags.salvage import salvage_bag
 from humanpred_ros.bags.writer import BagWriter, StorageOptions
 from humanpred_ros.errors import BagError, UsageError
 
+pytestmark = pytest.mark.core
+
 
 def test_metadata_is_version_9_with_hashes_and_qos(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "run") as bag:

@@ -31,6 +31,8 @@ from humanpred_ros.evaluation.framework import (
     progress_lines,
 )
 
+pytestmark = pytest.mark.core
+
 
 def shown(table: Table, width: int = 80) -> list[str]:
     text = io.StringIO()

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.chain import BodyPoints, BodySpheres, KinematicChain, axis_rotation
 
+pytestmark = pytest.mark.core
+
 ANGLE = st.floats(-np.pi, np.pi)
 
 

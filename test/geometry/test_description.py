@@ -14,6 +14,8 @@ from humanpred_ros.geometry.description import Description, PlacedDescription
 from humanpred_ros.geometry.shapes import planar_pose
 from humanpred_ros.geometry.urdf import find_pr2_urdf, parse_description, read_description
 
+pytestmark = pytest.mark.core
+
 ARM = """
 <robot name="crane">
   <link name="base"/>

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 
+pytestmark = pytest.mark.core
+
 GRID = VoxelGrid((-2.0, -3.0, -0.4), 0.05, (8, 5, 6))
 
 

@@ -12,6 +12,8 @@ from humanpred_ros.errors import ArrayError, HumanModelError
 from humanpred_ros.human.chain_points import ChainPoints
 from humanpred_ros.human.model import HumanModel
 
+pytestmark = pytest.mark.core
+
 HUMANS = {"mocap23": HumanModel.mocap23(), "kinect12": HumanModel.kinect12()}
 both = pytest.mark.parametrize("human", HUMANS.values(), ids=list(HUMANS))
 

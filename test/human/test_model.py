@@ -16,6 +16,8 @@ from humanpred_ros.errors import ArrayError, HumanModelError, UsageError
 from humanpred_ros.human.model import HUMANS, HumanModel, human_named, human_with, name_of_human
 from humanpred_ros.resources import share_file
 
+pytestmark = pytest.mark.core
+
 DOFS = [
     "PelvisTransX", "PelvisTransY", "PelvisTransZ", "PelvisRotZ", "TorsoX", "TorsoY", "TorsoZ",
     "rShoulderX", "rShoulderZ", "rShoulderY", "rArmTrans", "rElbowZ",

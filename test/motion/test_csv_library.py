@@ -14,6 +14,8 @@ from humanpred_ros.errors import LibraryFormatError
 from humanpred_ros.motion.csv_library import KINECT12_DOFS, read_csv_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 
+pytestmark = pytest.mark.core
+
 HEADER = "traj_id,frame," + ",".join(KINECT12_DOFS)
 ROW = ",".join(["0.5"] * 12)
 GOOD = [HEADER, *(f"0,{frame},{ROW}" for frame in range(3)), *(f"1,{frame},{ROW}" for frame in range(3))]

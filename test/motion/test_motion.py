@@ -9,6 +9,8 @@ from hypothesis.extra import numpy as hnp
 from humanpred_ros.errors import MotionError
 from humanpred_ros.motion.motion import SKELETON_POINTS, Motion, resample, resample_phase, unwrap_angles
 
+pytestmark = pytest.mark.core
+
 DOFS = ("PelvisTransX", "PelvisRotZ")
 
 

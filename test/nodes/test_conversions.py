@@ -16,6 +16,8 @@ from humanpred_ros.planning.trajectory import TimedTrajectory
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
 from humanpred_ros.nodes import conversions
 
+pytestmark = pytest.mark.core
+
 GRID = VoxelGrid((-2.0, -3.0, -0.4), 0.05, (80, 80, 48))
 
 

@@ -66,6 +66,7 @@ def by_stamp(bag: BagReader, topic: str) -> dict[int, Any]:
     return {conversions.stamp_ns(message.header.stamp): message for _, message in bag.decoded(topic)}
 
 
+@pytest.mark.core
 def test_every_posture_arrives_and_is_answered_once(bag: BagReader, motion: Motion) -> None:
     stamps = list(by_stamp(bag, POSTURES))
     assert len(stamps) == bag.topics[POSTURES].count >= len(motion)
@@ -91,6 +92,7 @@ def fields_of(fields: dict[str, NDArray[Any]], label: int) -> float:
     return float(fields["probability"][fields["class_id"] == label][0])
 
 
+@pytest.mark.core
 def test_occupancy_and_posterior_are_those_of_the_library_called_directly(run: Path, bag: BagReader) -> None:
     scene, human = load_scene(OPTIONS.scene), HumanModel.kinect12()
     model = load_model(run / "model.npz", human)
@@ -156,6 +158,7 @@ def test_the_bag_is_complete_for_other_readers(run: Path) -> None:
     assert "<svg" in (run / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.core
 def test_a_stepped_run_decides_as_the_library_called_directly(run: Path, bag: BagReader, motion: Motion) -> None:
     scene, human = load_scene(OPTIONS.scene), HumanModel.kinect12()
     model = load_model(run / "model.npz", human)

@@ -27,6 +27,8 @@ from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.recognition.forest import ForestSettings
 from humanpred_ros.recognition.forest_classifier import ForestClassifier
 
+pytestmark = pytest.mark.core
+
 HUMAN = HumanModel.kinect12()
 GRID = VoxelGrid((-1.5, -1.5, -0.4), 0.05, (60, 60, 48))
 BODY = BodyVoxeliser(HUMAN, GRID, np.eye(4))

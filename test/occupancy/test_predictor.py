@@ -18,6 +18,8 @@ from humanpred_ros.recognition.forest import ForestSettings
 from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.recognition.training import TrainedModel, train_model
 
+pytestmark = pytest.mark.core
+
 HUMAN = HumanModel.kinect12()
 GRID = VoxelGrid((-1.5, -1.5, -0.4), 0.05, (60, 60, 48))
 

@@ -25,6 +25,8 @@ from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
 from humanpred_ros.recognition.gmm_classifier import GmmClassifier, GmmSettings
 from humanpred_ros.recognition.training import TrainedModel, train_model
 
+pytestmark = pytest.mark.core
+
 HUMAN = HumanModel.kinect12()
 GRID = VoxelGrid((-1.5, -1.5, -0.4), 0.05, (60, 60, 48))
 SMALL = VoxelGrid((0.0, 0.0, 0.0), 1.0, (5, 4, 3))

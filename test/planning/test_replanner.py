@@ -18,6 +18,8 @@ from humanpred_ros.robot.goals import Goal
 from humanpred_ros.stomp.config import StompConfig
 from humanpred_ros.stomp.planner import TURN
 
+pytestmark = pytest.mark.core
+
 ARM = planar_arm()
 FREE = free_space()
 START = np.array([0.0, 0.3, 0.3])

@@ -27,6 +27,8 @@ from humanpred_ros.reaching.features import (
     ReachSituation,
 )
 
+pytestmark = pytest.mark.core
+
 FEATURES = ReachFeatures(MODEL)
 #: Features of accelerations and jerks. Stamps in the files are rounded to 1e-6 s, which moves postures resampled in
 #: time by up to 1e-6 of a step; differences of higher order enlarge that to some 1e-4 (measured by jittering stamps).

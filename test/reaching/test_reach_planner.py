@@ -27,6 +27,8 @@ from humanpred_ros.reaching.prediction import PlannedPrediction, ReachTask
 from humanpred_ros.reaching.surroundings import Surroundings
 from humanpred_ros.stomp.smoothness import accelerations_matrix
 
+pytestmark = pytest.mark.core
+
 RECORDINGS = [recording(seed) for seed in range(3)]
 BOUNDS = PostureBounds.from_recordings(RECORDINGS, MODEL)
 FAST = ReachPlannerSettings(stomp=ReachPlannerSettings().stomp.replaced(iterations=20))

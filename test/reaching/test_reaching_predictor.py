@@ -25,6 +25,8 @@ from humanpred_ros.reaching.progress import ReachProgress
 from humanpred_ros.reaching.reach_model import ReachModel
 from humanpred_ros.reaching.reaching_predictor import ReachingConfig, ReachingPredictor
 
+pytestmark = pytest.mark.core
+
 HUMAN = HumanModel.kinect12()
 GRID = VoxelGrid((-1.2, -1.4, -0.2), 0.05, (52, 56, 44))
 QUICK = ReachingConfig(ReachFuturesConfig(planned=False))

@@ -21,6 +21,8 @@ from humanpred_ros.recognition.forest import ForestSettings
 from humanpred_ros.recognition.forest_classifier import ForestClassifier
 from humanpred_ros.recognition.reach_features import motion_features, point_links
 
+pytestmark = pytest.mark.core
+
 HUMAN = HumanModel.kinect12()
 CONFIG = ForestSettings(n_trees=40)
 

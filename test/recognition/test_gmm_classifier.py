@@ -30,6 +30,8 @@ from humanpred_ros.recognition.gmm_classifier import (
 HUMAN = HumanModel.kinect12()
 SMALL = GmmSettings(n_components=4, max_iterations=20)
 
+pytestmark = pytest.mark.core
+
 
 @cache
 def fitted(phase_feature: bool = True) -> GmmClassifier:

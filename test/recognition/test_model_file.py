@@ -27,6 +27,8 @@ from humanpred_ros.recognition.forest_classifier import ForestClassifier
 from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.recognition.model_file import TrainedModel, load_model, model_of, save_model, train_model
 
+pytestmark = pytest.mark.core
+
 HUMAN = HumanModel.kinect12()
 
 

@@ -15,6 +15,8 @@ from humanpred_ros.geometry.shapes import planar_pose
 from humanpred_ros.robot.inverse_kinematics import InverseKinematicsConfig, ToolPose, solve_tool_pose, spread
 from humanpred_ros.robot.pr2 import Pr2Arm
 
+pytestmark = pytest.mark.core
+
 SEED = st.integers(0, 100_000)
 
 

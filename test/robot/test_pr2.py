@@ -24,6 +24,8 @@ from humanpred_ros.robot.pr2 import (
     Pr2Arm,
 )
 
+pytestmark = pytest.mark.core
+
 T_WORLD_BASE = planar_pose(0.828, -1.336, 0.0, np.deg2rad(151.812))
 ARM = Pr2Arm(T_WORLD_BASE)
 URDF = find_pr2_urdf()

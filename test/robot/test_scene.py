@@ -17,6 +17,8 @@ from humanpred_ros.robot.goals import Goal
 from humanpred_ros.robot.scene import Scene, load_scene
 from humanpred_ros.robot.scene_file import SceneFile, scene_names
 
+pytestmark = pytest.mark.core
+
 FACE, SIDE = load_scene("face_to_face"), load_scene("side_by_side")
 
 # Tool positions of the authors' scene files, lowered by the 0.0113 m between their torso and the URDF's

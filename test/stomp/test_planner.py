@@ -24,6 +24,8 @@ from humanpred_ros.stomp.costs import (
 )
 from humanpred_ros.stomp.planner import Plan, StompPlanner
 
+pytestmark = pytest.mark.core
+
 
 class Disc(CostTerm):
     """A point robot in the plane pays for entering a disc, and may not enter its core."""

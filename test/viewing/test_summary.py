@@ -22,6 +22,8 @@ from humanpred_ros.viewing.summary import GOAL_TOLERANCE_RAD, summarise
 from humanpred_ros.viewing.tracks import RecordedDecision
 from humanpred_ros.viewing.workcell import load_workcell, measure_clearance
 
+pytestmark = pytest.mark.core
+
 PERIOD_S, REACH_S = 0.0825, 1.65
 
 
