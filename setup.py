@@ -73,7 +73,7 @@ setup(
         "zstandard>=0.22",
         "PyYAML>=6.0.1",
         "joblib>=1.3",
-        "pydantic>=2.10",
+        "pydantic>=2.12",
         "tyro>=0.9",
         "yourdfpy>=0.0.56",
         "matplotlib>=3.8",

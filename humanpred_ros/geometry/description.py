@@ -92,6 +92,14 @@ class Joints(NamedTuple):
     K: FloatArray
     KK: FloatArray
 
+    @classmethod
+    def of(cls, parent: NDArray[np.int64], placement: FloatArray, turns: FloatArray, slides: FloatArray) -> Joints:
+        """Return joints (J) whose unit axes of turning and of sliding are (J, 3), zero where they do not."""
+        x, y, z = turns.T
+        zero = np.zeros(len(turns))
+        K = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1).copy()
+        return cls(parent, placement, slides, K, K @ K)
+
 
 @dataclass(frozen=True, eq=False)
 class Description:
@@ -140,11 +148,8 @@ class Description:
     @cached_property
     def joints(self) -> Joints:
         """What the kernel wants of the joints."""
-        turns = np.isin(self.kind, TURNING)[:, None] * self.axis
-        K = np.zeros((len(self.kind), 3, 3))
-        for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-            K[:, c, b], K[:, b, c] = turns[:, a], -turns[:, a]
-        return Joints(self.parent, self.T_parent_joint, np.isin(self.kind, SLIDING)[:, None] * self.axis, K, K @ K)
+        turns, slides = (np.isin(self.kind, kinds)[:, None] * self.axis for kinds in (TURNING, SLIDING))
+        return Joints.of(self.parent, self.T_parent_joint, turns, slides)
 
     def link_poses(self, values: Mapping[str, float]) -> FloatArray:
         """Return the (L, 4, 4) poses of all links in the root link's frame.

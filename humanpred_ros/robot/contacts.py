@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from humanpred_ros.geometry.chain import BodyBoxes, BodySpheres, KinematicChain
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.compiled import exact
+from humanpred_ros.geometry.description import Joints
 from humanpred_ros.geometry.posture_kernels import link_poses
 from humanpred_ros.geometry.shapes import Obstacle
 from humanpred_ros.robot.clearance import Approach, nearest_approaches
@@ -49,12 +50,9 @@ class SelfCollision:
         n = chain.n_joints
         placement = np.tile(np.eye(4), (n, 1, 1))
         placement[:, :3, :3], placement[:, :3, 3] = chain.joint_rotation, chain.joint_origin_m
-        x, y, z = chain.joint_axis.T
-        zero = np.zeros(n)
-        K = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1).copy()
-        numbers = np.arange(n)
         # Poses in the root's frame are enough: only bodies of this arm are compared.
-        self._chain = (numbers, placement, np.zeros((n, 3)), K, K @ K, numbers + 1, np.tile(np.eye(4), (n, 1, 1)))
+        joints = Joints.of(np.arange(n), placement, chain.joint_axis, np.zeros((n, 3)))
+        self._chain = (*joints, np.arange(1, n + 1), np.tile(np.eye(4), (n, 1, 1)))
         # Copies, because numba compiles once more for arrays that are read-only.
         self._boxes = (
             boxes.link.copy(),

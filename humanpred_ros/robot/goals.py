@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.errors import GoalUnreachableError, SceneError, UsageError
+from humanpred_ros.errors import GoalUnreachableError, SceneError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.geometry.shapes import Obstacle
 from humanpred_ros.robot.contacts import nearest_contacts
-from humanpred_ros.robot.inverse_kinematics import InverseKinematicsConfig, ToolPose, solve_tool_pose, spread
+from humanpred_ros.robot.inverse_kinematics import InverseKinematicsSettings, ToolPose, solve_tool_pose, spread
 from humanpred_ros.robot.pr2 import Pr2Arm
+from humanpred_ros.settings import Settings, setting
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,30 +56,17 @@ class Goal:
         return first
 
 
-@dataclass(frozen=True)
-class ToolGoalConfig:
-    """Which solutions become a goal's configurations.
+class ToolGoalSettings(Settings):
+    """Which solutions for a tool pose become a goal's configurations.
 
-    Attributes:
-        most: how many are kept at most; each one costs the planner a plan.
-        separation: configuration distance between any two that are kept. The ways from the start to the goals
-            of P1 are 0.3 to 1.4 long (docs/papers.md, P1 scenes).
-        clearance_m: least distance to everything. A planner looks distances up on a lattice of 0.025 m and
-            would take a goal for a collision that touches nothing by less than half a cell's diagonal.
-        inverse_kinematics: how solutions are looked for.
+    A planner looks distances up on a lattice of 0.025 m: it would take a goal for a collision that touches nothing by
+    less than half a cell's diagonal. The paths from the start to the goals of P1 are 0.3 to 1.4 long.
     """
 
-    most: int = 6
-    separation: float = 0.25
-    clearance_m: float = 0.02
-    inverse_kinematics: InverseKinematicsConfig = field(default_factory=InverseKinematicsConfig)
-
-    def __post_init__(self) -> None:
-        if self.most < 1 or not self.separation >= 0.0 or not self.clearance_m >= 0.0:
-            raise UsageError(
-                "tool goal: wanted most >= 1, separation >= 0 and clearance_m >= 0, "
-                f"got {self.most}, {self.separation} and {self.clearance_m}"
-            )
+    most: int = setting(6, "Configurations kept at most; the planner plans to each of them", low=1)
+    separation: float = setting(0.25, "Configuration distance between any two that are kept", low=0.0)
+    clearance_m: float = setting(0.02, "Least distance to everything", unit="m", low=0.0)
+    inverse_kinematics: InverseKinematicsSettings = setting(InverseKinematicsSettings(), "How solutions are found")
 
 
 def tool_goal(
@@ -91,7 +79,7 @@ def tool_goal(
     orientation_tolerance_rad: ArrayLike = 0.0,
     task_cost: float = 0.0,
     obstacles: Sequence[Obstacle] = (),
-    config: ToolGoalConfig | None = None,
+    settings: ToolGoalSettings | None = None,
 ) -> Goal:
     """Return the goal of bringing the tool to a pose, as configurations that reach it and touch nothing.
 
@@ -111,14 +99,14 @@ def tool_goal(
             how close the tool came), or all that do are in collision (with link, obstacle and depth).
         SceneError: for a pose that is not rigid or tolerances that are negative.
     """
-    config = config or ToolGoalConfig()
+    settings = settings or ToolGoalSettings()
     what = f"goal {name!r}"
     try:
         target = ToolPose.within(T_world_tool, position_tolerance_m, orientation_tolerance_rad)
     except SceneError as trouble:
         raise SceneError(f"{what}: {trouble}") from trouble
     start = arm.check_configuration(start, f"start of {what}")
-    found = solve_tool_pose(arm, target, start, config.inverse_kinematics)
+    found = solve_tool_pose(arm, target, start, settings.inverse_kinematics)
     if len(found.configurations) == 0:
         place = ", ".join(f"{coordinate:.3f}" for coordinate in target.T_world_tool[:3, 3])
         raise GoalUnreachableError(
@@ -126,8 +114,8 @@ def tool_goal(
             f"{found.missing_m:.3f} m and {np.rad2deg(found.missing_rad):.1f} deg beyond the tolerances; move the "
             "goal or the robot, or widen the tolerances"
         )
-    free = _free(arm, what, found.configurations, obstacles, config.clearance_m)
-    return Goal(name, spread(arm, free, config.separation, config.most), task_cost)
+    free = _free(arm, what, found.configurations, obstacles, settings.clearance_m)
+    return Goal(name, spread(arm, free, settings.separation, settings.most), task_cost)
 
 
 def _free(

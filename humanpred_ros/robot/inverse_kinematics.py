@@ -17,10 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.errors import SceneError, UsageError
+from humanpred_ros.errors import SceneError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.geometry.rotation_vectors import rotation_matrix, rotation_vector
 from humanpred_ros.robot.pr2 import Pr2Arm
+from humanpred_ros.settings import Settings, setting
 
 _RIGID = 1e-6
 
@@ -123,35 +124,19 @@ _LARGEST_STEP_RAD = 0.6
 _PULL = 0.3
 
 
-@dataclass(frozen=True)
-class InverseKinematicsConfig:
-    """How hard solutions are looked for.
+class InverseKinematicsSettings(Settings):
+    """How hard solutions are looked for."""
 
-    Attributes:
-        n_seeds: configurations to begin from; the first is the start.
-        n_iterations: of every seed at most.
-        seed: of the offset of the low-discrepancy sequence that the seeds are taken from.
-        limit_margin_rad: solutions stay this far from the joint limits: on a limit, single precision may be beyond.
-        duplicate_distance: solutions closer than this (configuration distance) count as one.
-    """
-
-    n_seeds: int = 128
-    n_iterations: int = 60
-    seed: int = 0
-    limit_margin_rad: float = 0.02
-    duplicate_distance: float = 0.02
-
-    def __post_init__(self) -> None:
-        if self.n_seeds < 1 or self.n_iterations < 1:
-            raise UsageError(
-                "inverse kinematics: wanted n_seeds >= 1 and n_iterations >= 1, "
-                f"got {self.n_seeds} and {self.n_iterations}"
-            )
-        if not (0.0 <= self.limit_margin_rad < 1.0 and self.duplicate_distance >= 0.0):
-            raise UsageError(
-                "inverse kinematics: wanted a limit_margin_rad from 0 to 1 and a duplicate_distance >= 0, "
-                f"got {self.limit_margin_rad} and {self.duplicate_distance}"
-            )
+    n_seeds: int = setting(128, "Configurations to begin from; the first is the start", low=1)
+    n_iterations: int = setting(60, "Iterations of every seed at most", low=1)
+    seed: int = setting(0, "Offset of the low-discrepancy sequence that the seeds are taken from")
+    limit_margin_rad: float = setting(
+        0.02,
+        "Distance of solutions from the joint limits: on a limit, single precision may be beyond",
+        low=0.0,
+        high=1.0,
+    )
+    duplicate_distance: float = setting(0.02, "Configuration distance below which two solutions are one", low=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +155,7 @@ class InverseKinematics:
 
 
 def solve_tool_pose(
-    arm: Pr2Arm, target: ToolPose, start: ArrayLike, config: InverseKinematicsConfig | None = None
+    arm: Pr2Arm, target: ToolPose, start: ArrayLike, settings: InverseKinematicsSettings | None = None
 ) -> InverseKinematics:
     """Find different configurations within the joint limits whose tool pose is within a target's tolerances.
 
@@ -183,22 +168,22 @@ def solve_tool_pose(
     Raises:
         ArrayError: for a start of another shape or not finite.
     """
-    config = config or InverseKinematicsConfig()
+    settings = settings or InverseKinematicsSettings()
     start = checked("inverse kinematics: start", start, (arm.chain.n_joints,))
-    lower, upper = arm.chain.lower + config.limit_margin_rad, arm.chain.upper - config.limit_margin_rad
+    lower, upper = arm.chain.lower + settings.limit_margin_rad, arm.chain.upper - settings.limit_margin_rad
     inside = target.tightened(2.0 * _CONVERGED)
-    q = _seeds(arm, start, lower, upper, config)
+    q = _seeds(arm, start, lower, upper, settings)
     drawn = np.arange(len(q)) % 2 == 0
     error = np.full((len(q), 6), np.inf)
     active = np.arange(len(q))
-    pulling = config.n_iterations // 2
-    for iteration in range(config.n_iterations + 1):
+    pulling = settings.n_iterations // 2
+    for iteration in range(settings.n_iterations + 1):
         if iteration < pulling:
             # A drawn seed gives way to the pull, then returns to the tolerances: it slides along the solutions.
             q[drawn] += _PULL * (1.0 - iteration / pulling) * arm.difference(q[drawn], start)
         error[active] = inside.error(arm.chain.tool_pose(q[active]))
         active = np.flatnonzero((_missing(error) > _CONVERGED).any(axis=1) | (drawn & (iteration < pulling)))
-        if len(active) == 0 or iteration == config.n_iterations:
+        if len(active) == 0 or iteration == settings.n_iterations:
             break
         q[active] = _stepped(arm, q[active], error[active], lower, upper)
     missing = _missing(error)
@@ -208,7 +193,7 @@ def solve_tool_pose(
         return InverseKinematics(np.empty((0, arm.chain.n_joints)), float(missing[best, 0]), float(missing[best, 1]))
     solutions = start + arm.difference(start, q[reached])
     solutions = solutions[np.argsort(arm.configuration_distance(start, solutions), kind="stable")]
-    return InverseKinematics(spread(arm, solutions, config.duplicate_distance), 0.0, 0.0)
+    return InverseKinematics(spread(arm, solutions, settings.duplicate_distance), 0.0, 0.0)
 
 
 def spread(arm: Pr2Arm, configurations: FloatArray, separation: float, most: int | None = None) -> FloatArray:
@@ -235,7 +220,7 @@ def _missing(error: FloatArray) -> FloatArray:
 
 
 def _seeds(
-    arm: Pr2Arm, start: FloatArray, lower: FloatArray, upper: FloatArray, config: InverseKinematicsConfig
+    arm: Pr2Arm, start: FloatArray, lower: FloatArray, upper: FloatArray, settings: InverseKinematicsSettings
 ) -> FloatArray:
     """Return seeds (N, 7) within the limits, the start first."""
     endless = arm.chain.continuous
@@ -245,8 +230,8 @@ def _seeds(
     root = 2.0
     for _ in range(50):
         root = (1.0 + root) ** (1.0 / (n + 1))
-    offset = np.random.default_rng(config.seed).random(n)
-    draws = (offset + np.arange(config.n_seeds)[:, None] * root ** -np.arange(1.0, n + 1.0)) % 1.0
+    offset = np.random.default_rng(settings.seed).random(n)
+    draws = (offset + np.arange(settings.n_seeds)[:, None] * root ** -np.arange(1.0, n + 1.0)) % 1.0
     seeds: FloatArray = low + draws * (high - low)
     seeds[0] = np.clip(start, lower, upper)
     return seeds

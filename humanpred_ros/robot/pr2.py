@@ -117,12 +117,13 @@ class Pr2Arm:
         Args:
             spacing_m: least distance between two points of a link, and the largest gap between them.
         """
-        points = [
-            sample(np.concatenate([surface.triangles for surface in surfaces]), spacing_m)
-            for surfaces in _moving_surfaces(self._urdf)
-        ]
-        link = np.repeat(np.arange(_FIRST_BODY_JOINT, self.chain.n_joints), [len(part) for part in points])
-        return BodyPoints(link, np.concatenate(points))
+        link, points = [], []
+        for joint, surfaces in enumerate(self._urdf.moving_surfaces(RIGHT_ARM_JOINTS)):
+            if joint >= _FIRST_BODY_JOINT:
+                part = sample(np.concatenate([surface.triangles for surface in surfaces]), spacing_m)
+                link.append(np.full(len(part), joint))
+                points.append(part)
+        return BodyPoints(np.concatenate(link), np.concatenate(points))
 
     def spheres(self) -> BodySpheres:
         """Cover the surface of upper arm, elbow, forearm, wrist and gripper with spheres, in joint order.
@@ -130,11 +131,11 @@ class Pr2Arm:
         The turret and the shoulder are left out: they never touch the torso, and a scene whose obstacles they
         could reach is refused.
         """
-        return _sphere_cover(self.urdf)
+        return _sphere_cover(self.urdf, _FIRST_BODY_JOINT, len(RIGHT_ARM_JOINTS), _LARGEST_OTHER_SPHERE_M)
 
     def shoulder_spheres(self) -> BodySpheres:
         """Cover what `spheres` leaves out, turret and shoulder, in joint order."""
-        return _shoulder_cover(self.urdf)
+        return _sphere_cover(self.urdf, 0, _FIRST_BODY_JOINT, _LARGEST_SHOULDER_SPHERE_M)
 
     def inner_boxes(self) -> BodyBoxes:
         """Fill turret, shoulder and upper arm with boxes, in joint order: what forearm and hand can run into."""
@@ -150,7 +151,7 @@ class Pr2Arm:
         """
         obstacles = []
         surfaces = self._urdf.fixed_surfaces(RIGHT_ARM_JOINTS)
-        for (surface, T_world_frame), boxes in zip(surfaces, _box_covers(self.urdf), strict=True):
+        for (surface, T_world_frame), boxes in zip(surfaces, _fixed_box_covers(self.urdf), strict=True):
             for lower, upper in boxes:
                 T_world_box = T_world_frame.copy()
                 T_world_box[:3, 3] += T_world_frame[:3, :3] @ ((lower + upper) / 2.0)
@@ -210,58 +211,42 @@ class Pr2Arm:
             )
 
 
+# The covers below do not depend on where the robot stands, so scenes of one process share them.
+
+
 def _unplaced(urdf: Path) -> PlacedDescription:
     return PlacedDescription(read_description(urdf), np.eye(4), {})
 
 
-def _moving_surfaces(model: PlacedDescription) -> list[list[LinkSurface]]:
-    """What each joint from the upper arm outwards moves, in the joint's frame."""
-    return model.moving_surfaces(RIGHT_ARM_JOINTS)[_FIRST_BODY_JOINT:]
+def _moving(urdf: Path, first: int, end: int) -> list[tuple[int, LinkSurface]]:
+    """Return what each joint from `first` to before `end` moves, in the joint's frame, with the joint's number."""
+    moving = _unplaced(urdf).moving_surfaces(RIGHT_ARM_JOINTS)
+    return [(joint, surface) for joint in range(first, end) for surface in moving[joint]]
 
 
-# The covers below do not depend on where the robot stands, so scenes of one process share them.
-
-
-@lru_cache(maxsize=2)
-def _sphere_cover(urdf: Path) -> BodySpheres:
-    return _covered(
-        _moving_surfaces(_unplaced(urdf)),
-        _FIRST_BODY_JOINT,
-        _LARGEST_OTHER_SPHERE_M,
-    )
-
-
-@lru_cache(maxsize=2)
-def _shoulder_cover(urdf: Path) -> BodySpheres:
-    inner = _unplaced(urdf).moving_surfaces(RIGHT_ARM_JOINTS)[:_FIRST_BODY_JOINT]
-    return _covered(inner, 0, _LARGEST_SHOULDER_SPHERE_M)
-
-
-def _covered(moving: list[list[LinkSurface]], first_joint: int, largest_m: float) -> BodySpheres:
+@lru_cache(maxsize=4)
+def _sphere_cover(urdf: Path, first: int, end: int, largest_m: float) -> BodySpheres:
     link, centres, radii = [], [], []
-    for joint, surfaces in enumerate(moving, start=first_joint):
-        for surface in surfaces:
-            centre, radius = covering_spheres(surface.triangles, _LARGEST_SPHERE_M.get(surface.link, largest_m))
-            link.append(np.full(len(radius), joint))
-            centres.append(centre)
-            radii.append(radius)
+    for joint, surface in _moving(urdf, first, end):
+        centre, radius = covering_spheres(surface.triangles, _LARGEST_SPHERE_M.get(surface.link, largest_m))
+        link.append(np.full(len(radius), joint))
+        centres.append(centre)
+        radii.append(radius)
     return BodySpheres(np.concatenate(link), np.concatenate(centres), np.concatenate(radii))
 
 
 @lru_cache(maxsize=2)
-def _box_covers(urdf: Path) -> tuple[tuple[Bounds, ...], ...]:
-    surfaces = _unplaced(urdf).fixed_surfaces(RIGHT_ARM_JOINTS)
-    return tuple(tuple(covering_boxes(surface.triangles, _LEAST_SAVING_M3)) for surface, _ in surfaces)
+def _inner_box_cover(urdf: Path) -> BodyBoxes:
+    boxes = [
+        (joint, lower, upper)
+        for joint, surface in _moving(urdf, 0, _ELBOW_JOINT)
+        for lower, upper in covering_boxes(surface.triangles, _LEAST_SAVING_M3)
+    ]
+    link, lower, upper = zip(*boxes, strict=True)
+    return BodyBoxes(np.array(link), np.array(lower), np.array(upper))
 
 
 @lru_cache(maxsize=2)
-def _inner_box_cover(urdf: Path) -> BodyBoxes:
-    link, lower, upper = [], [], []
-    inner = _unplaced(urdf).moving_surfaces(RIGHT_ARM_JOINTS)[:_ELBOW_JOINT]
-    for joint, surfaces in enumerate(inner):
-        for surface in surfaces:
-            for low, high in covering_boxes(surface.triangles, _LEAST_SAVING_M3):
-                link.append(joint)
-                lower.append(low)
-                upper.append(high)
-    return BodyBoxes(np.array(link), np.array(lower), np.array(upper))
+def _fixed_box_covers(urdf: Path) -> tuple[tuple[Bounds, ...], ...]:
+    surfaces = _unplaced(urdf).fixed_surfaces(RIGHT_ARM_JOINTS)
+    return tuple(tuple(covering_boxes(surface.triangles, _LEAST_SAVING_M3)) for surface, _ in surfaces)

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from humanpred_ros.errors import GoalUnreachableError, SceneError, UsageError
+from humanpred_ros.errors import GoalUnreachableError, SceneError, SettingsError
 from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
 from humanpred_ros.robot.contacts import nearest_contacts
-from humanpred_ros.robot.goals import Goal, ToolGoalConfig, tool_goal
+from humanpred_ros.robot.goals import Goal, ToolGoalSettings, tool_goal
 from humanpred_ros.robot.inverse_kinematics import ToolPose
 from humanpred_ros.robot.scene import load_scene
 
@@ -75,23 +75,23 @@ def test_every_configuration_finishes_the_task_and_touches_nothing() -> None:
     assert goal.name == "look down"
     assert goal.task_cost == 0.5
     q = goal.configurations
-    assert 2 <= len(q) <= ToolGoalConfig().most
+    assert 2 <= len(q) <= ToolGoalSettings().most
     target = ToolPose.within(ABOVE, LOOSE["position_tolerance_m"], LOOSE["orientation_tolerance_rad"])
     assert np.abs(target.error(ARM.chain.tool_pose(q))).max() < 1e-6
     for i, one in enumerate(q):
         ARM.check_configuration(one, f"configuration {i}")
     clearance = [contact.clearance_m for contact in nearest_contacts(ARM, SCENE.obstacles, q)]
-    assert min(clearance) >= ToolGoalConfig().clearance_m
+    assert min(clearance) >= ToolGoalSettings().clearance_m
 
 
 def test_configurations_are_spread_the_nearest_first() -> None:
-    config = ToolGoalConfig(separation=0.3)
-    q = tool_goal(ARM, "g", ABOVE, START, obstacles=SCENE.obstacles, config=config, **LOOSE).configurations
+    settings = ToolGoalSettings(separation=0.3)
+    q = tool_goal(ARM, "g", ABOVE, START, obstacles=SCENE.obstacles, settings=settings, **LOOSE).configurations
     distance = ARM.configuration_distance(START, q)
     assert (np.diff(distance) >= 0.0).all()
     for i in range(1, len(q)):
         assert ARM.configuration_distance(q[i], q[:i]).min() >= 0.3
-    one = tool_goal(ARM, "g", ABOVE, START, obstacles=SCENE.obstacles, config=ToolGoalConfig(most=1), **LOOSE)
+    one = tool_goal(ARM, "g", ABOVE, START, obstacles=SCENE.obstacles, settings=ToolGoalSettings(most=1), **LOOSE)
     np.testing.assert_array_equal(one.configurations, q[:1])
 
 
@@ -102,9 +102,9 @@ def test_the_same_task_gives_the_same_goal() -> None:
 
 def test_a_goal_configurations_tool_pose_gives_that_task_back() -> None:
     for goal in SCENE.goals:
-        config = ToolGoalConfig(clearance_m=0.0)
+        settings = ToolGoalSettings(clearance_m=0.0)
         T = ARM.chain.tool_pose(goal.configuration)
-        found = tool_goal(ARM, goal.name, T, START, obstacles=SCENE.obstacles, config=config)
+        found = tool_goal(ARM, goal.name, T, START, obstacles=SCENE.obstacles, settings=settings)
         np.testing.assert_allclose(
             ARM.chain.tool_pose(found.configurations), np.broadcast_to(T, (len(found.configurations), 4, 4)), atol=2e-6
         )
@@ -136,8 +136,8 @@ def test_too_near_is_refused_too() -> None:
     post = Obstacle("post", Box(planar_pose(0.0, -0.7, 0.86), [0.05, 0.05, 0.05]))
     exact = {"position_tolerance_m": 0.0, "orientation_tolerance_rad": [np.pi, 0.0, 0.0]}
     with pytest.raises(GoalUnreachableError, match=r"best has r_wrist_roll_link 0\.\d\d\d m from post"):
-        tool_goal(ARM, "near", ABOVE, START, obstacles=[post], config=ToolGoalConfig(clearance_m=0.2), **exact)
-    tool_goal(ARM, "near", ABOVE, START, obstacles=[post], config=ToolGoalConfig(clearance_m=0.0), **exact)
+        tool_goal(ARM, "near", ABOVE, START, obstacles=[post], settings=ToolGoalSettings(clearance_m=0.2), **exact)
+    tool_goal(ARM, "near", ABOVE, START, obstacles=[post], settings=ToolGoalSettings(clearance_m=0.0), **exact)
 
 
 def test_a_pose_inside_the_robot_is_refused_naming_its_own_link() -> None:
@@ -168,5 +168,5 @@ def test_nonsense_is_refused_by_name(wrong: dict[str, Any], error: type[Exceptio
 
 @pytest.mark.parametrize("wrong", [{"most": 0}, {"separation": -1.0}, {"clearance_m": np.nan}])
 def test_settings_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(UsageError, match=next(iter(wrong))):
-        ToolGoalConfig(**wrong)
+    with pytest.raises(SettingsError, match=next(iter(wrong))):
+        ToolGoalSettings(**wrong)

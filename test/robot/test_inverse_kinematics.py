@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from humanpred_ros.errors import ArrayError, SceneError, UsageError
+from humanpred_ros.errors import ArrayError, SceneError, SettingsError
 from humanpred_ros.geometry.shapes import planar_pose
-from humanpred_ros.robot.inverse_kinematics import InverseKinematicsConfig, ToolPose, solve_tool_pose, spread
+from humanpred_ros.robot.inverse_kinematics import InverseKinematicsSettings, ToolPose, solve_tool_pose, spread
 from humanpred_ros.robot.pr2 import Pr2Arm
 
 pytestmark = pytest.mark.core
@@ -101,7 +101,7 @@ def test_poses_that_make_no_sense_are_refused(T: Any, position: Any, orientation
 
 ARM = Pr2Arm(planar_pose(0.024, 0.018, 0.0, np.deg2rad(-90.54)))
 START = np.deg2rad([-115.807877, 15.206147, -64.424, -104.86128, -24.20327, -66.399792, 159.720137])
-MARGIN = InverseKinematicsConfig().limit_margin_rad
+MARGIN = InverseKinematicsSettings().limit_margin_rad
 LOWER = np.where(ARM.chain.continuous, -np.pi, ARM.chain.lower + MARGIN)
 UPPER = np.where(ARM.chain.continuous, np.pi, ARM.chain.upper - MARGIN)
 
@@ -119,7 +119,7 @@ def check(q: np.ndarray, target: ToolPose) -> None:
     distance = ARM.configuration_distance(START, q)
     assert (np.diff(distance) >= -1e-12).all()
     for i in range(1, len(q)):
-        assert ARM.configuration_distance(q[i], q[:i]).min() >= InverseKinematicsConfig().duplicate_distance
+        assert ARM.configuration_distance(q[i], q[:i]).min() >= InverseKinematicsSettings().duplicate_distance
 
 
 @settings(max_examples=25)
@@ -165,7 +165,7 @@ def test_the_same_question_has_the_same_answer() -> None:
     target = ToolPose.within(ARM.chain.tool_pose(np.full(7, -0.5)), 0.01, 0.1)
     first, again = (solve_tool_pose(ARM, target, START).configurations for _ in range(2))
     np.testing.assert_array_equal(first, again)
-    other = solve_tool_pose(ARM, target, START, InverseKinematicsConfig(seed=1)).configurations
+    other = solve_tool_pose(ARM, target, START, InverseKinematicsSettings(seed=1)).configurations
     assert first.shape != other.shape or not np.array_equal(first, other)
 
 
@@ -204,8 +204,8 @@ def test_spread_keeps_the_first_ones_apart() -> None:
     "wrong", [{"n_seeds": 0}, {"n_iterations": 0}, {"limit_margin_rad": -0.1}, {"duplicate_distance": np.nan}]
 )
 def test_settings_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(UsageError, match=next(iter(wrong))):
-        InverseKinematicsConfig(**wrong)
+    with pytest.raises(SettingsError, match=next(iter(wrong))):
+        InverseKinematicsSettings(**wrong)
 
 
 def test_a_start_that_is_no_configuration_is_refused() -> None:
