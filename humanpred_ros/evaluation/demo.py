@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import time
 from collections.abc import Iterator
 from datetime import datetime
@@ -20,8 +21,8 @@ from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.occupancy.predictor import check_predictor, needed_classifiers, predictor_type
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR
-from humanpred_ros.recognition.model_file import load_model, save_model
-from humanpred_ros.recognition.training import seeded_settings, train_model
+from humanpred_ros.recognition.model_file import load_model, model_of
+from humanpred_ros.recognition.training import seeded_settings
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import Scene, load_scene
 from humanpred_ros.settings import Settings, setting
@@ -97,12 +98,12 @@ def run_demo(settings: DemoSettings, console: Console) -> RunSummary:
         training = training_part(library, motion, settings.hold_out)
         with console.status(f"training on {len(training)} motions of {library.name}"):
             names = needed_classifiers(settings.predictor, settings.classifier)
-            model = train_model(training, human, {name: seeded_settings(name, settings.seed) for name in names})
+            model = model_of(training, human, {name: seeded_settings(name, settings.seed) for name in names})
 
     folder.mkdir(parents=True)
     model_path = Path(settings.model or folder / "model.npz").resolve()
     if model is not None:
-        save_model(model, model_path)
+        shutil.copyfile(model, model_path)
     replayed = MotionLibrary(f"motion_{motion.name.replace('/', '_')}", (motion,), library.provenance)
     bag = write_library_bag(replayed, folder / replayed.name)
     console.print(

@@ -122,6 +122,7 @@ def model_of(
     with contextlib.suppress(ModelFileError):  # missing, or damaged: trained again
         load_model(path, human)
         os.utime(path)
+        os.utime(path.parent)  # folders of the cache that are not used for long are removed
         return path
     save_model(train_model(library, human, classifiers), path)
     with contextlib.suppress(OSError):
