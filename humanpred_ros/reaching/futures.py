@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.occupancy.forecast_config import MOST_FUTURES
+from humanpred_ros.occupancy.sampled_futures import MOST_FUTURES
 from humanpred_ros.reaching.end_postures import EndPosture, standing
 from humanpred_ros.reaching.planner import ReachPlanner, ReachPlannerSettings, unit_deviation
 from humanpred_ros.reaching.posture_bounds import PostureBounds

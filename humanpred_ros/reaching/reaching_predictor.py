@@ -19,7 +19,7 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy.predictor import Prediction, Predictor, PredictorRequest
-from humanpred_ros.occupancy.sampled_futures import SampledFutures, SweepConfig
+from humanpred_ros.occupancy.sampled_futures import SampledFutures, SweepSettings
 from humanpred_ros.reaching.features import NAMED_WEIGHTS
 from humanpred_ros.reaching.futures import ReachFutures, ReachFuturesConfig
 from humanpred_ros.reaching.place_classifier import GoalClassifier
@@ -46,7 +46,7 @@ class ReachingConfig:
     """
 
     futures: ReachFuturesConfig = field(default_factory=ReachFuturesConfig)
-    sweep: SweepConfig = field(default_factory=SweepConfig)
+    sweep: SweepSettings = field(default_factory=SweepSettings)
     least_probability: float = 0.01
 
     def __post_init__(self) -> None:

@@ -60,7 +60,7 @@ class GaussianMixture:
         object.__setattr__(self, "weights", frozen(weights))
         object.__setattr__(self, "means", frozen(means))
         object.__setattr__(self, "covariances", frozen(covariances))
-        object.__setattr__(self, "whitening", frozen(np.linalg.solve(factor, np.eye(n_features))))
+        object.__setattr__(self, "whitening", frozen(np.linalg.inv(factor)))
         object.__setattr__(self, "log_scale", frozen(log_scale))
 
     @property

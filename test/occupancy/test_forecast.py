@@ -13,7 +13,7 @@ from paths import shared_data
 from scipy.ndimage import binary_dilation
 from small_library import REST, small_library
 
-from humanpred_ros.errors import ArrayError, MotionError, UsageError
+from humanpred_ros.errors import ArrayError, MotionError, SettingsError, UsageError
 from humanpred_ros.evaluation.evaluation_grid import grid_around
 from humanpred_ros.evaluation.occupancy.scores import Reliability
 from humanpred_ros.geometry.checks import FloatArray
@@ -22,7 +22,7 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.placement import placed, turn_and_shift
-from humanpred_ros.occupancy.forecast import ForecastConfig, ForecastPredictor
+from humanpred_ros.occupancy.forecast import ForecastPredictor, ForecastSettings
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.recognition.forest import ForestSettings
 from humanpred_ros.recognition.forest_classifier import ForestClassifier
@@ -43,7 +43,7 @@ def fitted() -> ForestClassifier:
 def predictor(grid: VoxelGrid = GRID, T_world_human: FloatArray | None = None, **changes: float) -> ForecastPredictor:
     forest = fitted().fresh()
     T = np.eye(4) if T_world_human is None else T_world_human
-    return ForecastPredictor(forest, grid, T, config=replace(ForecastConfig(), **changes))
+    return ForecastPredictor(forest, grid, T, settings=ForecastSettings(**changes))
 
 
 def unseen(label: int = 1, seed: int = 99) -> Motion:
@@ -210,8 +210,8 @@ def test_what_is_wrong_is_named() -> None:
     with pytest.raises(ArrayError, match="rotation"):
         ForecastPredictor(fitted(), GRID, np.diag([1.0, 2.0, 1.0, 1.0]))
     for wrong in ({"n_futures": 33}, {"n_futures": 0}, {"thinning": 0}, {"kept": 1.5}, {"fade": 0.0}, {"spread": -0.1}):
-        with pytest.raises(UsageError, match=next(iter(wrong))):
-            ForecastConfig(**wrong)
+        with pytest.raises(SettingsError, match=next(iter(wrong))):
+            ForecastSettings(**wrong)
 
 
 def test_rest_is_certain_before_any_motion() -> None:

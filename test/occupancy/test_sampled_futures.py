@@ -9,19 +9,19 @@ import pytest
 from scipy.ndimage import convolve
 from small_library import REST, small_library
 
-from humanpred_ros.errors import ArrayError, UsageError
+from humanpred_ros.errors import ArrayError, SettingsError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.occupancy.point_kernels import NEVER_CERTAIN
-from humanpred_ros.occupancy.sampled_futures import SampledFutures, SweepConfig
+from humanpred_ros.occupancy.future_kernels import NEVER_CERTAIN
+from humanpred_ros.occupancy.sampled_futures import SampledFutures, SweepSettings
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 
 HUMAN = HumanModel.kinect12()
 GRID = VoxelGrid((-1.2, -1.2, -0.2), 0.05, (48, 48, 44))
 T = np.array([[0.0, -1.0, 0.0, 0.1], [1.0, 0.0, 0.0, -0.05], [0.0, 0.0, 1.0, 0.02], [0.0, 0.0, 0.0, 1.0]])
 #: Every posture, every point, nothing given to neighbours.
-DENSE = SweepConfig(step_voxels=1e-6, thinning=1, spread=0.0)
+DENSE = SweepSettings(step_voxels=1e-6, thinning=1, spread=0.0)
 
 
 @cache
@@ -50,7 +50,7 @@ def test_a_voxel_gets_the_probability_of_the_futures_that_touch_it() -> None:
 
 def test_thinned_points_and_long_steps_miss_little() -> None:
     weights = np.full(6, 1.0 / 6.0)
-    thin = SampledFutures(HUMAN, GRID, T, SweepConfig(spread=0.0)).probability(REST, [(weights, reaches())])
+    thin = SampledFutures(HUMAN, GRID, T, SweepSettings(spread=0.0)).probability(REST, [(weights, reaches())])
     truth = expected(reaches(), weights)
     assert (thin <= truth + 1e-5).mean() > 0.9999
     assert thin.sum() > 0.93 * truth.sum()
@@ -62,7 +62,7 @@ def test_neighbours_share_a_little() -> None:
     kernel[1, 1, 1] = 0.6
     for axis in ((0, 1, 1), (2, 1, 1), (1, 0, 1), (1, 2, 1), (1, 1, 0), (1, 1, 2)):
         kernel[axis] = 0.4 / 6.0
-    config = SweepConfig(step_voxels=1e-6, thinning=1, spread=0.4)
+    config = SweepSettings(step_voxels=1e-6, thinning=1, spread=0.4)
     p = SampledFutures(HUMAN, GRID, T, config).probability(REST, [(weights, reaches())])
     now = BodyVoxeliser(HUMAN, GRID, T).mask(REST)
     swept = np.stack([BodyVoxeliser(HUMAN, GRID, T).mask(q) for q in reaches()])
@@ -94,5 +94,5 @@ def test_what_does_not_fit_is_refused() -> None:
         futures.probability(REST, [(np.ones(1), np.full((1, 2, 12), np.nan))])
     with pytest.raises(ArrayError, match="probability"):
         futures.probability(REST, [(np.ones(2), np.zeros((1, 2, 12)))])
-    with pytest.raises(UsageError, match="spread"):
-        SweepConfig(spread=1.5)
+    with pytest.raises(SettingsError, match="spread"):
+        SweepSettings(spread=1.5)

@@ -14,10 +14,9 @@ from small_library import REST, small_library
 
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.occupancy import forecast_kernels as kernels
-from humanpred_ros.occupancy.body_parts import BodyParts
-from humanpred_ros.occupancy.point_kernels import NEVER_CERTAIN
-from humanpred_ros.occupancy.recorded_futures import RecordedFutures
+from humanpred_ros.occupancy import future_kernels as kernels
+from humanpred_ros.occupancy.future_kernels import NEVER_CERTAIN
+from humanpred_ros.occupancy.recorded_futures import BodyParts, RecordedFutures
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.recognition.forest import Exemplars
 from humanpred_ros.recognition.reach_features import N_FEATURES
@@ -162,7 +161,10 @@ def test_bits_are_counted_and_spread(bits: np.ndarray, now: np.ndarray, probabil
     out = np.zeros(SMALL, dtype=np.float32)
     touched = np.append(bits.ravel() & np.uint32(2 ** len(probability) - 1), np.uint32(7))
     each = (touched[:-1, None] >> np.arange(len(probability)) & 1).reshape(*SMALL, -1)
-    kernels.count(touched, probability, now, spread, share, out)
+    busy = np.zeros(tuple(n + 2 for n in SMALL[:2]), dtype=np.bool_)
+    kernels.add_share(touched, probability, share, busy)
+    kernels.add_body(now, share, busy)
+    kernels.spread_out(share, busy, now, spread, out)
     expected = np.where(now, 1.0, each @ probability)
     beside = np.zeros((3, 3, 3))
     beside[[0, 2, 1, 1, 1, 1], [1, 1, 0, 2, 1, 1], [1, 1, 1, 1, 0, 2]] = spread / 6
@@ -173,3 +175,4 @@ def test_bits_are_counted_and_spread(bits: np.ndarray, now: np.ndarray, probabil
     assert np.array_equal(out == 1.0, now)
     assert not touched.any()
     assert not share.any()
+    assert not busy.any()

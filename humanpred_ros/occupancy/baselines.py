@@ -1,53 +1,112 @@
-"""The baseline of everyday robotics: the body goes on as it moves now, and sweeps what lies on that way.
+"""Baselines: the body where it is, where it has been, and where it gets to if it goes on as it moves now.
 
-It knows no library. What sets a prediction learned from recordings apart from it is what was learned.
+They know no library. What sets a prediction learned from recordings apart from them is what was learned.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from humanpred_ros.errors import MotionError, UsageError
+from humanpred_ros.errors import MotionError
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import is_angle
 from humanpred_ros.occupancy.predictor import Prediction, Predictor, PredictorRequest
 from humanpred_ros.occupancy.voxeliser import DEFAULT_SPACING_M, BodyVoxeliser
+from humanpred_ros.settings import Settings, setting
 
 _TURN = 2 * np.pi
 #: A joint that may turn this far has no end it could stop at (limits written as plus and minus pi, rounded).
 _FULL_TURN = _TURN - 1e-3
 
 
-@dataclass(frozen=True)
-class ConstantVelocityConfig:
-    """How the velocity is estimated and how far it is followed.
+class CurrentOccupancyPredictor(Predictor):
+    """Baseline: the body where it is now.
+
+    Probability 1 there, 0 elsewhere; recognises nothing.
 
     Attributes:
-        window_s: the velocity is the one of the postures of this last while.
-        horizon_s: how long the body is taken to go on. A velocity that falls evenly to zero within twice that time
-            sweeps the same voxels. Of windows of 0.1 to 0.25 s and horizons of 0.05 to 0.8 s the defaults have the
-            lowest Brier score on library_b; farther ahead it misses less and is wrong more often.
-        step_voxels: postures on the way are so many voxels apart, measured at the link that moves most.
-        most_postures: no more than this many.
+        grid: the lattice, world frame.
     """
 
-    window_s: float = 0.1
-    horizon_s: float = 0.15
-    step_voxels: float = 0.5
-    most_postures: int = 40
+    def __init__(
+        self,
+        human: HumanModel,
+        grid: VoxelGrid,
+        T_world_human: ArrayLike,
+        *,
+        spacing_m: float = 0.02,
+    ) -> None:
+        """Prepare for one human, grid and placement (arguments as for `BodyVoxeliser`)."""
+        self.grid = grid
+        self._n_dofs = len(human.dof_names)
+        self._voxeliser = BodyVoxeliser(human, grid, T_world_human, spacing_m)
+        self.start()
 
-    def __post_init__(self) -> None:
-        for setting in fields(self):
-            value = getattr(self, setting.name)
-            if not 0 < value < math.inf:
-                raise UsageError(f"constant velocity: wanted a positive {setting.name}, got {value}")
+    @classmethod
+    def from_request(cls, request: PredictorRequest) -> CurrentOccupancyPredictor:
+        return cls(request.human, request.grid, request.T_world_human)
+
+    def start(self) -> None:
+        """Nothing was observed that could be forgotten."""
+
+    def update(self, q: FloatArray, t_s: float) -> Prediction:
+        """Take one posture (D,) stamped `t_s` and return where the body is.
+
+        Raises:
+            ArrayError: posture of the wrong shape or not finite.
+        """
+        occupied = self._occupied(self._voxeliser.mask(checked("posture", q, (self._n_dofs,))))
+        return Prediction(Occupancy(self.grid, occupied.astype(np.float32), t_s), None)
+
+    def _occupied(self, now: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return the voxels to call occupied, from those the body is in."""
+        return now
+
+
+class AccumulatedOccupancyPredictor(CurrentOccupancyPredictor):
+    """Baseline: everywhere the body was since the motion began (published code of P1).
+
+    The code published with P1 never cleared its flags of occupied voxels; the paper describes the current posture only
+    (docs/papers.md, P1 occupancy).
+    """
+
+    def start(self) -> None:
+        """Forget what was observed: the next posture is the first of a new motion."""
+        self._past = np.zeros(self.grid.shape, dtype=np.bool_)
+
+    def _occupied(self, now: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        self._past = self._past | now
+        return self._past
+
+
+class ConstantVelocitySettings(Settings):
+    """Settings of the predictor `constant_velocity`: how the velocity is estimated and how far it is followed.
+
+    Of windows of 0.1 to 0.25 s and horizons of 0.05 to 0.8 s the defaults have the lowest Brier score on library_b;
+    farther ahead it misses less and is wrong more often.
+    """
+
+    window_s: float = setting(
+        0.1, "the velocity is the one of the postures of this last while", unit="s", low=1e-3, high=1e3
+    )
+    horizon_s: float = setting(
+        0.15,
+        "how long the body is taken to go on; a velocity that falls evenly to zero within twice that time sweeps the "
+        "same voxels",
+        unit="s",
+        low=1e-3,
+        high=1e3,
+    )
+    step_voxels: float = setting(
+        0.5, "postures on the way are so many voxels apart, at the link that moves most", low=1e-3, high=1e3
+    )
+    most_postures: int = setting(40, "postures on the way, at most", low=1, high=100_000)
 
 
 class ConstantVelocityPredictor(Predictor):
@@ -60,8 +119,10 @@ class ConstantVelocityPredictor(Predictor):
 
     Attributes:
         grid: the lattice, world frame.
-        config: the settings.
+        settings: how the velocity is estimated and followed.
     """
+
+    settings_type = ConstantVelocitySettings
 
     def __init__(
         self,
@@ -69,12 +130,12 @@ class ConstantVelocityPredictor(Predictor):
         grid: VoxelGrid,
         T_world_human: ArrayLike,
         *,
-        config: ConstantVelocityConfig | None = None,
+        settings: ConstantVelocitySettings | None = None,
         spacing_m: float = DEFAULT_SPACING_M,
     ) -> None:
         """Prepare for one human, grid and placement (arguments as for `BodyVoxeliser`)."""
         self.grid = grid
-        self.config = ConstantVelocityConfig() if config is None else config
+        self.settings = settings or ConstantVelocitySettings()
         self._human = human
         self._voxeliser = BodyVoxeliser(human, grid, T_world_human, spacing_m)
         self._is_angle = np.array([is_angle(name) for name in human.dof_names])
@@ -85,7 +146,8 @@ class ConstantVelocityPredictor(Predictor):
 
     @classmethod
     def from_request(cls, request: PredictorRequest) -> ConstantVelocityPredictor:
-        return cls(request.human, request.grid, request.T_world_human)
+        settings = request.settings if isinstance(request.settings, ConstantVelocitySettings) else None
+        return cls(request.human, request.grid, request.T_world_human, settings=settings)
 
     def start(self) -> None:
         """Forget what was observed: the next posture is the first of a new motion."""
@@ -111,7 +173,7 @@ class ConstantVelocityPredictor(Predictor):
         if self._recent:
             continuous = q - _TURN * np.round((q - self._recent[-1][1]) / _TURN) * self._is_angle
         self._recent.append((t_s, continuous))
-        while self._recent[0][0] < t_s - self.config.window_s and len(self._recent) > 2:
+        while self._recent[0][0] < t_s - self.settings.window_s and len(self._recent) > 2:
             self._recent.popleft()
         occupied = self._voxeliser.mask(self._ahead(q))
         return Prediction(Occupancy(self.grid, occupied.astype(np.float32), t_s), None)
@@ -129,12 +191,12 @@ class ConstantVelocityPredictor(Predictor):
 
     def _ahead(self, q: FloatArray) -> FloatArray:
         """Return postures (N, D) from the present one to the one at the horizon."""
-        end = q + self.velocity() * self.config.horizon_s
+        end = q + self.velocity() * self.settings.horizon_s
         # A tracked posture may lie beyond a limit already; it does not snap back.
         end = np.clip(end, np.minimum(self._lower, q), np.maximum(self._upper, q))
         poses = self._human.link_poses(np.stack([q, end]))
         way_m = float(np.linalg.norm(poses[1, :, :3, 3] - poses[0, :, :3, 3], axis=1).max())
-        steps = math.ceil(way_m / (self.config.step_voxels * self.grid.resolution_m))
-        share = np.linspace(0.0, 1.0, 1 + min(steps, self.config.most_postures - 1))
+        steps = math.ceil(way_m / (self.settings.step_voxels * self.grid.resolution_m))
+        share = np.linspace(0.0, 1.0, 1 + min(steps, self.settings.most_postures - 1))
         postures: FloatArray = q + share[:, None] * (end - q)
         return postures
