@@ -128,11 +128,6 @@ def string(text: str) -> Any:
     return message_class(STRING)(data=text)
 
 
-def clock(time_ns: int) -> Any:
-    """Return rosgraph_msgs/Clock."""
-    return message_class(CLOCK)(clock=stamp_from_ns(time_ns))
-
-
 def joint_state(
     time_ns: int,
     names: Sequence[str],
@@ -153,48 +148,6 @@ def joint_state(
         velocity=_floats(velocity),
         effort=_floats(effort),
     )
-
-
-def joint_trajectory(
-    time_ns: int,
-    names: Sequence[str],
-    t_s: ArrayLike,
-    positions: ArrayLike,
-    *,
-    velocities: ArrayLike | None = None,
-    accelerations: ArrayLike | None = None,
-    frame_id: str = "",
-) -> Any:
-    """Return trajectory_msgs/JointTrajectory.
-
-    Args:
-        time_ns: stamp at which the trajectory starts.
-        names: D joint names.
-        t_s: (N,) seconds since the stamp.
-        positions: (N, D) rad; velocities (rad/s) and accelerations (rad/s^2) likewise or None.
-        frame_id: frame of the header.
-    """
-    times, rows = _floats(t_s), [_floats(positions)]
-    rows += [np.zeros((len(times), 0)) if v is None else _floats(v) for v in (velocities, accelerations)]
-    if rows[0].shape != (len(times), len(names)) or any(r.shape not in (rows[0].shape, (len(times), 0)) for r in rows):
-        raise UsageError(
-            f"joint trajectory: wanted rows of shape ({len(times)}, {len(names)}), got {[r.shape for r in rows]}"
-        )
-    point = message_class("trajectory_msgs/msg/JointTrajectoryPoint")
-    duration = message_class("builtin_interfaces/msg/Duration")
-    points = []
-    for t, position, velocity, acceleration in zip(times, *rows, strict=True):
-        sec, nanosec = divmod(round(float(t) * 1e9), 1_000_000_000)
-        points.append(
-            point(
-                positions=position,
-                velocities=velocity,
-                accelerations=acceleration,
-                effort=np.zeros(0),
-                time_from_start=duration(sec=sec, nanosec=nanosec),
-            )
-        )
-    return message_class(JOINT_TRAJECTORY)(header=header(time_ns, frame_id), joint_names=list(names), points=points)
 
 
 def point_cloud2(time_ns: int, frame_id: str, fields: Mapping[str, ArrayLike]) -> Any:
@@ -271,27 +224,6 @@ def point_cloud2_fields(message: Any, names: Iterable[str] | None = None) -> dic
             f"point cloud: its layout does not fit its data ({trouble}); the message is damaged"
         ) from trouble
     return {name: table[name].astype(table[name].dtype.newbyteorder("=")) for name in wanted}
-
-
-def diagnostic_array(
-    time_ns: int, statuses: Iterable[tuple[int, str, str, Mapping[str, str]]], *, frame_id: str = ""
-) -> Any:
-    """Return diagnostic_msgs/DiagnosticArray of (level 0 to 3, name, message, values) tuples."""
-    status = message_class("diagnostic_msgs/msg/DiagnosticStatus")
-    pair = message_class("diagnostic_msgs/msg/KeyValue")
-    return message_class(DIAGNOSTIC_ARRAY)(
-        header=header(time_ns, frame_id),
-        status=[
-            status(
-                level=level,
-                name=name,
-                message=text,
-                hardware_id="",
-                values=[pair(key=key, value=value) for key, value in values.items()],
-            )
-            for level, name, text, values in statuses
-        ],
-    )
 
 
 def _floats(values: ArrayLike) -> NDArray[np.float64]:

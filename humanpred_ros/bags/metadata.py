@@ -1,22 +1,35 @@
-"""metadata.yaml: what rosbag2 knows of a bag without opening its storage (version 9, as Jazzy writes it)."""
+"""What a bag says of its topics: metadata.yaml (version 9, as Jazzy writes it) and their quality of service."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import yaml
-from rosbags.interfaces import Qos
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
-from humanpred_ros.bags.qos import qos_as_records, qos_from
 from humanpred_ros.errors import BagError
 
-METADATA_VERSION = 9
-ROS_DISTRO = "jazzy"
+_VERSION = 9
+_ROS_DISTRO = "jazzy"
 #: rosbag2's starting time of a bag without messages.
 _NO_START_NS = 2**63 - 1
+#: The value rmw uses for "no deadline", "lives for ever": the largest signed 64-bit count of nanoseconds.
+_INFINITE = QosTime(9223372036, 854775807)
+
+
+def _keep_last(depth: int, durability: QosDurability) -> Qos:
+    reliable, alive = QosReliability.RELIABLE, QosLiveliness.AUTOMATIC
+    return Qos(QosHistory.KEEP_LAST, depth, reliable, durability, _INFINITE, _INFINITE, alive, _INFINITE, False)
+
+
+#: Of topics that do not ask for another: reliable, volatile, the last 10 messages, as rclpy's default.
+DEFAULT_QOS = _keep_last(10, QosDurability.VOLATILE)
+#: Of topics whose last message late subscribers get (URDF, voxel lattice).
+LATCHED_QOS = _keep_last(1, QosDurability.TRANSIENT_LOCAL)
 
 
 @dataclass(frozen=True)
@@ -35,39 +48,30 @@ class TopicInfo:
         return replace(self, count=count)
 
 
-@dataclass(frozen=True)
-class BagSummary:
-    """The content of metadata.yaml.
+def metadata_text(
+    file: str, topics: Sequence[TopicInfo], start_ns: int, end_ns: int, custom: Mapping[str, str], *, bare: bool = False
+) -> str:
+    """Return metadata.yaml of a bag in one file.
 
-    Attributes:
-        files: storage files in time order, names without folder.
-        start_ns, end_ns: log times of the first and last message.
+    Args:
+        file: name of the storage file.
         topics: in the order they were announced.
+        start_ns, end_ns: log times of the first and last message.
         custom: rosbag2's custom_data.
+        bare: leave out the outermost key, as in the copy inside the mcap file.
     """
+    count = sum(topic.count for topic in topics)
 
-    files: tuple[str, ...]
-    start_ns: int
-    end_ns: int
-    topics: tuple[TopicInfo, ...]
-    custom: Mapping[str, str] = field(default_factory=dict)
+    def times() -> dict[str, Any]:
+        return {
+            "starting_time": {"nanoseconds_since_epoch": start_ns if count else _NO_START_NS},
+            "duration": {"nanoseconds": end_ns - start_ns if count else 0},
+        }
 
-    @property
-    def count(self) -> int:
-        """Number of messages of all topics."""
-        return sum(topic.count for topic in self.topics)
-
-
-def metadata_text(summary: BagSummary, *, bare: bool = False) -> str:
-    """Return metadata.yaml of a bag in one file; `bare` leaves out the outermost key, as inside the mcap file."""
-    count = summary.count
-    start = {"nanoseconds_since_epoch": summary.start_ns if count else _NO_START_NS}
-    duration = {"nanoseconds": summary.end_ns - summary.start_ns if count else 0}
     information: dict[str, Any] = {
-        "version": METADATA_VERSION,
+        "version": _VERSION,
         "storage_identifier": "mcap",
-        "duration": dict(duration),
-        "starting_time": dict(start),
+        **times(),
         "message_count": count,
         "topics_with_message_count": [
             {
@@ -80,25 +84,25 @@ def metadata_text(summary: BagSummary, *, bare: bool = False) -> str:
                 },
                 "message_count": topic.count,
             }
-            for topic in summary.topics
+            for topic in topics
         ],
         # Chunks are compressed inside the file; these two mean compression of whole files or messages.
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": list(summary.files),
-        "files": [
-            {"path": name, "starting_time": dict(start), "duration": dict(duration), "message_count": count}
-            for name in summary.files
-        ],
-        "custom_data": dict(summary.custom) or None,
-        "ros_distro": ROS_DISTRO,
+        "relative_file_paths": [file],
+        "files": [{"path": file, **times(), "message_count": count}],
+        "custom_data": dict(custom) or None,
+        "ros_distro": _ROS_DISTRO,
     }
     content = information if bare else {"rosbag2_bagfile_information": information}
     return str(yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
 
 
-def read_metadata(path: Path) -> BagSummary:
-    """Return the content of a metadata.yaml of any rosbag2 version with mcap storage.
+def read_metadata(path: Path) -> tuple[tuple[str, ...], dict[str, int]]:
+    """Return what a metadata.yaml of any rosbag2 version with mcap storage says.
+
+    Returns:
+        (names of the storage files in time order, number of messages by topic).
 
     Raises:
         BagError: unreadable, not rosbag2's, another storage, or compressed as a whole.
@@ -108,24 +112,11 @@ def read_metadata(path: Path) -> BagSummary:
         information = content["rosbag2_bagfile_information"]
         storage = str(information["storage_identifier"])
         mode = str(information.get("compression_mode") or "").lower()
-        start_ns = int(information["starting_time"]["nanoseconds_since_epoch"])
-        summary = BagSummary(
-            tuple(Path(name).name for name in information["relative_file_paths"]),
-            start_ns,
-            start_ns + int(information["duration"]["nanoseconds"]),
-            tuple(
-                TopicInfo(
-                    str(entry["topic_metadata"]["name"]),
-                    str(entry["topic_metadata"]["type"]),
-                    int(entry["message_count"]),
-                    str(entry["topic_metadata"]["serialization_format"]),
-                    qos_from(entry["topic_metadata"].get("offered_qos_profiles") or []),
-                    str(entry["topic_metadata"].get("type_description_hash") or ""),
-                )
-                for entry in information["topics_with_message_count"]
-            ),
-            {str(key): str(value) for key, value in (information.get("custom_data") or {}).items()},
-        )
+        files = tuple(Path(name).name for name in information["relative_file_paths"])
+        counts = {
+            str(entry["topic_metadata"]["name"]): int(entry["message_count"])
+            for entry in information["topics_with_message_count"]
+        }
     except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as trouble:
         raise BagError(
             f"{path}: wanted rosbag2's metadata, got something else ({type(trouble).__name__}: {trouble}); "
@@ -135,4 +126,25 @@ def read_metadata(path: Path) -> BagSummary:
         raise BagError(f"{path.parent}: wanted mcap storage, got {storage}; convert it with: ros2 bag convert")
     if mode not in ("", "none"):
         raise BagError(f"{path.parent}: wanted no compression around the file, got mode {mode}; use ros2 bag convert")
-    return summary
+    return files, counts
+
+
+def qos_as_records(qos: tuple[Qos, ...]) -> list[dict[str, Any]]:
+    """Return what metadata.yaml version 9 holds under offered_qos_profiles."""
+    return [dict(item) for item in dump_qos_v9(list(qos))]
+
+
+def qos_as_text(qos: tuple[Qos, ...]) -> str:
+    """Return what rosbag2's mcap storage keeps in a channel's metadata."""
+    return str(yaml.safe_dump(qos_as_records(qos), sort_keys=False)).strip() if qos else ""
+
+
+def qos_from(records: list[dict[str, Any]] | str) -> tuple[Qos, ...]:
+    """Return the profiles of a bag of any rosbag2 version. Raises BagError where they cannot be parsed."""
+    try:
+        # Typed for its own dictionaries only; other tools write the same keys.
+        return tuple(parse_qos(records))  # type: ignore[arg-type, unused-ignore]
+    except Exception as trouble:  # rosbags lets KeyError, TypeError and YAML errors of strange profiles through
+        raise BagError(
+            f"wanted offered_qos_profiles as rosbag2 writes them, got {records!r:.120} ({trouble})"
+        ) from trouble

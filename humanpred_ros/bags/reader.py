@@ -12,8 +12,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from humanpred_ros.bags.mcap_file import MCAP_TROUBLE, SALVAGE_HINT, FileFrame, read_frame, spell
 from humanpred_ros.bags.messages import decode_with, typestore
-from humanpred_ros.bags.metadata import TopicInfo, read_metadata
-from humanpred_ros.bags.qos import qos_from
+from humanpred_ros.bags.metadata import TopicInfo, qos_from, read_metadata
 from humanpred_ros.errors import BagError
 
 
@@ -218,7 +217,7 @@ def bag_files(path: Path) -> tuple[Path, ...]:
                 f"{path}: wanted a complete bag, got one without metadata.yaml (recording interrupted); {SALVAGE_HINT}"
             )
         raise BagError(f"{path}: wanted a rosbag2 directory, got a folder without metadata.yaml and .mcap files")
-    files = tuple(path / name for name in read_metadata(metadata).files)
+    files = tuple(path / name for name in read_metadata(metadata)[0])
     for file in files:
         if not file.is_file():
             raise BagError(f"{path}: wanted {file.name} as metadata.yaml says, it is missing; {SALVAGE_HINT}")

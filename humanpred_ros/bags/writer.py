@@ -6,8 +6,8 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Literal
@@ -17,36 +17,23 @@ from rosbags.interfaces import Qos
 
 from humanpred_ros import __version__
 from humanpred_ros.bags.messages import TypeDefinition, serialise, type_definition
-from humanpred_ros.bags.metadata import BagSummary, TopicInfo, metadata_text
-from humanpred_ros.bags.qos import DEFAULT_QOS, qos_as_text
+from humanpred_ros.bags.metadata import DEFAULT_QOS, TopicInfo, metadata_text, qos_as_text
 from humanpred_ros.errors import BagError
+from humanpred_ros.settings import Settings, setting
 
 _COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
 _LAST_TIME_NS = 2**63 - 1
 
 
-@dataclass(frozen=True)
-class StorageOptions:
-    """How messages are stored.
+class StorageOptions(Settings):
+    """How messages are stored; an interruption loses what has come since a chunk was last closed."""
 
-    Attributes:
-        compression: of each chunk.
-        chunk_bytes: a chunk is closed when it has grown beyond this size.
-        flush_period_s: a chunk is closed by the first message after this time, so that an interruption
-            loses no more than about that; 0 closes one after every message.
-        flush_messages: a chunk is closed after this many messages, too.
-    """
-
-    compression: Literal["zstd", "lz4", "none"] = "zstd"
-    chunk_bytes: int = 1 << 20
-    flush_period_s: float = 0.5
-    flush_messages: int = 10_000
-
-    def __post_init__(self) -> None:
-        if self.compression not in _COMPRESSION:
-            raise BagError(f"wanted compression {', '.join(_COMPRESSION)}, got {self.compression!r}")
-        if self.chunk_bytes < 1 or self.flush_messages < 1 or not self.flush_period_s >= 0:
-            raise BagError(f"wanted a positive chunk size and message count and a period >= 0, got {self}")
+    compression: Literal["zstd", "lz4", "none"] = setting("zstd", "compression of each chunk")
+    chunk_bytes: int = setting(1 << 20, "a chunk is closed when it has grown beyond this size", unit="B", low=1)
+    flush_period_s: float = setting(
+        0.5, "a chunk is closed by the first message after this time; 0: after every one", unit="s", low=0.0
+    )
+    flush_messages: int = setting(10_000, "a chunk is closed after this many messages, too", low=1)
 
 
 class BagWriter:
@@ -147,8 +134,7 @@ class BagWriter:
         """
         definition = definition or type_definition(msgtype)
         profiles = (qos,) if isinstance(qos, Qos) else tuple(qos)
-        with self._lock:
-            self._require_open()
+        with self._writing():
             known = self._topics.get(name)
             if known is not None:
                 if known.msgtype != msgtype:
@@ -187,20 +173,16 @@ class BagWriter:
         sent_ns = log_time_ns if publish_time_ns is None else publish_time_ns
         if not (0 <= log_time_ns <= _LAST_TIME_NS and 0 <= sent_ns <= _LAST_TIME_NS):
             raise BagError(f"topic {topic}: wanted times from 0 to 2^63 - 1 ns, got {log_time_ns} and {sent_ns}")
-        with self._lock:
-            self._require_open()
-            try:
-                self._mcap.add_message(self._channels[topic], int(log_time_ns), bytes(data), int(sent_ns))
-                self._counts[topic] += 1
-                self._start_ns = min(self._start_ns, int(log_time_ns))
-                self._end_ns = max(self._end_ns, int(log_time_ns))
-                self._pending += 1
-                now_s = self._clock()
-                due = now_s - self._last_flush_s >= self._options.flush_period_s
-                if due or self._pending >= self._options.flush_messages:
-                    self._flush(now_s)
-            except OSError as trouble:
-                raise self._cannot_write(trouble) from trouble
+        with self._writing():
+            self._mcap.add_message(self._channels[topic], int(log_time_ns), bytes(data), int(sent_ns))
+            self._counts[topic] += 1
+            self._start_ns = min(self._start_ns, int(log_time_ns))
+            self._end_ns = max(self._end_ns, int(log_time_ns))
+            self._pending += 1
+            now_s = self._clock()
+            due = now_s - self._last_flush_s >= self._options.flush_period_s
+            if due or self._pending >= self._options.flush_messages:
+                self._flush(now_s)
 
     def write_message(self, topic: str, log_time_ns: int, message: Any, publish_time_ns: int | None = None) -> None:
         """Write one message of the type store (see `messages`), announcing its topic if need be."""
@@ -215,22 +197,14 @@ class BagWriter:
         if name == "rosbag2":
             raise BagError("metadata record: wanted a name other than 'rosbag2', which rosbag2 keeps for itself")
         texts = {str(key): str(value) for key, value in values.items()}
-        with self._lock:
-            self._require_open()
-            try:
-                self._mcap.add_metadata(name, texts)
-            except OSError as trouble:
-                raise self._cannot_write(trouble) from trouble
+        with self._writing():
+            self._mcap.add_metadata(name, texts)
             self._custom.update({f"{name}.{key}": value for key, value in texts.items()})
 
     def flush(self) -> None:
         """Close the chunk and hand it to the operating system; for recorders, on a timer of their own."""
-        with self._lock:
-            self._require_open()
-            try:
-                self._flush(self._clock())
-            except OSError as trouble:
-                raise self._cannot_write(trouble) from trouble
+        with self._writing():
+            self._flush(self._clock())
 
     def close(self) -> None:
         """Write index, footer and metadata.yaml, and put a staged bag in place; a second call does nothing."""
@@ -238,15 +212,14 @@ class BagWriter:
             if self._stream is None:
                 return
             stream, self._stream = self._stream, None
-            text = metadata_text(self._summary())
+            topics = [topic.with_count(self._counts[name]) for name, topic in self._topics.items()]
+            facts = (self._file_name, topics, self._start_ns, self._end_ns, self._custom)
             try:
                 with stream:
-                    self._mcap.add_metadata(
-                        "rosbag2", {"serialized_metadata": metadata_text(self._summary(), bare=True)}
-                    )
+                    self._mcap.add_metadata("rosbag2", {"serialized_metadata": metadata_text(*facts, bare=True)})
                     self._mcap.finish()
                 temporary = self._folder / "metadata.yaml.partial"
-                temporary.write_text(text, encoding="utf-8")
+                temporary.write_text(metadata_text(*facts), encoding="utf-8")
                 temporary.replace(self._folder / "metadata.yaml")
                 if self._staged:
                     self._put_in_place()
@@ -279,10 +252,6 @@ class BagWriter:
         self._mcap.flush()
         self._pending, self._last_flush_s = 0, now_s
 
-    def _summary(self) -> BagSummary:
-        topics = tuple(topic.with_count(self._counts[name]) for name, topic in self._topics.items())
-        return BagSummary((self._file_name,), self._start_ns, self._end_ns, topics, dict(self._custom))
-
     def _put_in_place(self) -> None:
         if self.directory.exists():
             aside = self.directory.with_name(f".{self.directory.name}.replaced-{os.getpid()}")
@@ -292,9 +261,16 @@ class BagWriter:
         else:
             self._folder.rename(self.directory)
 
-    def _require_open(self) -> None:
-        if self._stream is None:
-            raise BagError(f"{self.directory}: wanted an open bag, this one is closed; open a new one")
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Keep other threads out; raise BagError where the bag is closed or the disk refuses."""
+        with self._lock:
+            if self._stream is None:
+                raise BagError(f"{self.directory}: wanted an open bag, this one is closed; open a new one")
+            try:
+                yield
+            except OSError as trouble:
+                raise self._cannot_write(trouble) from trouble
 
     def _cannot_write(self, trouble: OSError) -> BagError:
         return BagError(f"{self.directory}: cannot be written ({trouble}); free space or choose another place")

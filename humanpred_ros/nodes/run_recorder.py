@@ -13,7 +13,7 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from humanpred_ros import topics
-from humanpred_ros.bags.qos import DEFAULT_QOS, LATCHED_QOS
+from humanpred_ros.bags.metadata import DEFAULT_QOS, LATCHED_QOS
 from humanpred_ros.bags.writer import BagWriter
 from humanpred_ros.errors import UsageError
 from humanpred_ros.nodes import qos

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from bag_messages import clock
 from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.stream_reader import StreamReader
 from paths import REPOSITORY
@@ -18,11 +19,11 @@ from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
 
 from humanpred_ros.bags import messages as ros
-from humanpred_ros.bags.qos import LATCHED_QOS
+from humanpred_ros.bags.metadata import LATCHED_QOS
 from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.bags.salvage import salvage_bag
 from humanpred_ros.bags.writer import BagWriter, StorageOptions
-from humanpred_ros.errors import BagError, UsageError
+from humanpred_ros.errors import BagError, SettingsError, UsageError
 
 pytestmark = pytest.mark.core
 
@@ -155,7 +156,7 @@ def test_a_killed_recording_can_be_salvaged(tmp_path: Path) -> None:
         "import itertools, sys\n"
         "from humanpred_ros.bags.writer import BagWriter, StorageOptions\n"
         "from humanpred_ros.bags import messages as ros\n"
-        "bag = BagWriter(sys.argv[1], options=StorageOptions(flush_messages=10))\n"
+        "bag = BagWriter(sys.argv[1], options=StorageOptions(flush_messages=10, flush_period_s=1e9))\n"
         "for k in itertools.count():\n"
         "    bag.write_message('/words', k, ros.string(str(k)))\n"
         "    if k % 10 == 9: print(k, flush=True)\n"
@@ -193,14 +194,14 @@ def test_misuse_is_explained(tmp_path: Path) -> None:
         with pytest.raises(BagError, match="times"):
             bag.write("/words", -1, b"")
         with pytest.raises(BagError, match="wanted a std_msgs/msg/String"):
-            bag.write_message("/words", 1, ros.clock(1))
+            bag.write_message("/words", 1, clock(1))
         with pytest.raises(UsageError, match="my_msgs"):
             bag.add_topic("/mine", "my_msgs/msg/Mine")
         with pytest.raises(BagError, match="rosbag2"):
             bag.add_metadata("rosbag2", {})
     with pytest.raises(BagError, match="closed"):
         bag.write("/words", 1, b"")
-    with pytest.raises(BagError, match="compression"):
+    with pytest.raises(SettingsError, match="compression"):
         StorageOptions(compression="gzip")  # type: ignore[arg-type]
     with pytest.raises(BagError, match="cannot be created"):
         BagWriter(tmp_path / "bag" / "metadata.yaml" / "inner")
@@ -235,7 +236,7 @@ def test_a_full_disk_is_a_bag_error_and_what_was_flushed_is_kept(tmp_path: Path)
         "from humanpred_ros.bags import messages as ros\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))\n"
         "try:\n"
-        "    with BagWriter(sys.argv[1], options=StorageOptions('none', flush_messages=5)) as bag:\n"
+        "    with BagWriter(sys.argv[1], options=StorageOptions(compression='none', flush_messages=5)) as bag:\n"
         "        for k in range(2000):\n"
         "            bag.write_message('/words', k, ros.string(str(k)))\n"
         "except BagError as trouble:\n"

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_messages import clock
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -106,7 +107,7 @@ def test_topics_and_stamps_are_those_of_a_replayable_recording(tmp_path: Path) -
 
 def test_other_topics_do_not_matter(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "run") as bag:
-        bag.write_message("/clock", 1, ros.clock(1))
+        bag.write_message("/clock", 1, clock(1))
         bag.write_message(MOTION, 5, ros.string(motion_text(reach(2, 1, n=3))))
         for k in range(3):
             stamp = 5 + k

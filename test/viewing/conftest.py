@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bag_messages import diagnostic_array, joint_trajectory
 from numpy.typing import NDArray
 
 from humanpred_ros.bags import messages
@@ -206,7 +207,7 @@ def _answered_postures(
                 chosen = better
                 trajectory = _trajectory(t_s + PERIOD_S, script, scene)
                 sent.append((decided - 50_000, "/r_arm_controller/joint_trajectory", trajectory))
-        decision = messages.diagnostic_array(stamp, [(0, "decision", action, values), *statuses])
+        decision = diagnostic_array(stamp, [(0, "decision", action, values), *statuses])
         sent.append((decided, "/stomp_planner/decision", decision))
     return sent
 
@@ -264,7 +265,7 @@ def _goal(name: str, chosen: str, number: int) -> tuple[int, str, str, dict[str,
 def _trajectory(t_s: float, script: Script, scene: Scene) -> Any:
     knots = t_s + np.linspace(0.0, 1.0, 5)
     still = np.zeros((5, 7))
-    return messages.joint_trajectory(
+    return joint_trajectory(
         script.origin_ns + round(t_s * 1e9), RIGHT_ARM_JOINTS, knots - t_s, arm_at(knots, script, scene),
         velocities=still, accelerations=still,
     )  # fmt: skip

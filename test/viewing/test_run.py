@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_messages import diagnostic_array
 
 from humanpred_ros import topics
 from humanpred_ros.bags import messages
@@ -95,7 +96,7 @@ def test_steps_of_a_restarted_planner_are_counted_anew_and_told(tmp_path: Path) 
     goal = (0, "red", "chosen", {"selection_cost": "1.0"})
     with BagWriter(tmp_path / "bag") as writer:
         for k, step in enumerate((1, 2, 1, 2, 3)):
-            array = messages.diagnostic_array(10 * k, [(0, "decision", "replan", {"step": str(step)}), goal])
+            array = diagnostic_array(10 * k, [(0, "decision", "replan", {"step": str(step)}), goal])
             writer.write_message(topics.DECISION, 10 * k, array)
     run = read_run(tmp_path)
     assert [step.step for step in run.steps] == [1, 2, 3, 4, 5]
@@ -201,7 +202,7 @@ def test_topics_of_another_kind_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("values", [{"step": "first"}, {"t_switch_s": "np.float64(1.0)"}])
 def test_decisions_that_are_not_ours_are_refused(tmp_path: Path, values: dict[str, str]) -> None:
     with BagWriter(tmp_path / "bag") as writer:
-        array = messages.diagnostic_array(5, [(0, "decision", "keep", values)])
+        array = diagnostic_array(5, [(0, "decision", "keep", values)])
         writer.write_message(topics.DECISION, 5, array)
     with pytest.raises(BagError, match="wanted numbers"):
         read_run(tmp_path)

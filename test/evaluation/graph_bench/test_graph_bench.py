@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bag_messages import diagnostic_array, joint_trajectory
 from rich.console import Console
 from waiting import processes_with_environment, wait_until
 
@@ -62,7 +63,7 @@ def motion() -> Motion:
 def decision(stamp_ns: int, action: str, iterations: tuple[int, ...]) -> Any:
     values = {"compute_ms": "12.5", "step": "1" if iterations else "-1"}
     goals = [(0, f"goal {k}", "", {"iterations": str(n)}) for k, n in enumerate(iterations)]
-    return ros.diagnostic_array(stamp_ns, [(0, "decision", action, values), *goals])
+    return diagnostic_array(stamp_ns, [(0, "decision", action, values), *goals])
 
 
 def write_run(folder: Path, *, postures: int = 12, missed_at: int = -1, busy_from: int = 99) -> Path:
@@ -82,11 +83,11 @@ def write_run(folder: Path, *, postures: int = 12, missed_at: int = -1, busy_fro
         action = "missed" if k == missed_at else "replan" if step else "keep"
         sent.append((stamp + 30 * MS, "/stomp_planner/decision", decision(stamp, action, (50, 0, 20) if step else ())))
         if step and k % 2 == 0:
-            trajectory = ros.joint_trajectory(stamp + PERIOD_MS * MS, ["a"], [0.0, 1.0], [[0.0], [1.0]])
+            trajectory = joint_trajectory(stamp + PERIOD_MS * MS, ["a"], [0.0, 1.0], [[0.0], [1.0]])
             sent.append((stamp + 28 * MS, "/r_arm_controller/joint_trajectory", trajectory))
     for after_ms, text in ((1000, "waiting for the arm"), (2000, "ready"), (2200, "ready")):
         stamp = STARTED_NS + after_ms * MS
-        sent.append((stamp, "/diagnostics", ros.diagnostic_array(stamp, [(0, "stomp_planner", text, {})])))
+        sent.append((stamp, "/diagnostics", diagnostic_array(stamp, [(0, "stomp_planner", text, {})])))
     with BagWriter(folder / "bag") as bag:
         for topic, kind in (
             ("/humans/bodies/body_0/joint_states", ros.JOINT_STATE),
