@@ -66,7 +66,7 @@ def test_the_right_arm_is_covered_from_shoulder_to_fingertips_however_long(human
     q = np.zeros(12)
     q[[7, 8, 9, 10, 11]] = (0.9, 0.4, 0.2, trans, 0.8)
     p = human.forward(q)
-    tip = p["right_wrist"] + (p["right_palm"] - p["right_wrist"]) / 0.15 * 0.2159  # facts: fingertips 0.216 m on
+    tip = p["right_wrist"] + (p["right_palm"] - p["right_wrist"]) / 0.15 * 0.2159  # fingertips 0.216 m on
     bones = [p["right_shoulder"], p["right_elbow"], p["right_wrist"], tip]
     along = np.linspace(0, 1, 200)[:, None]
     for a, b in pairwise(bones):

@@ -45,7 +45,7 @@ def undetermined(q: np.ndarray) -> set[str]:
 
 
 def published_formulas(p: dict[str, np.ndarray]) -> np.ndarray:
-    """P1's conversion as stated in facts (iros2013, section 1), with its simplification that bones lie on y."""
+    """P1's conversion as published (docs/papers.md, P1 human), with its simplification that bones lie on y."""
 
     def rot(axis: str, a: float) -> np.ndarray:
         c, s = np.cos(a), np.sin(a)

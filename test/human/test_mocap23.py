@@ -23,7 +23,7 @@ DOFS = (
 )  # fmt: skip
 HUMAN = HumanModel.mocap23()
 POINT_OF_REFERENCE = dict(zip(("pelvis", "torso", "shoulder", "elbow", "wrist", "palm"), JOINT_CENTRES, strict=True))
-#: Lengths and translations a person can have, rotations all of them (facts: icra2015, section 3).
+#: Lengths and translations a person can have, rotations all of them (docs/papers.md, P2 human).
 LOW = np.array([1.2, 0.6, 1.0, *[-3.1] * 6, 0.0, 0.15, 0.05, *[-3.1] * 3, 0.299, *[-3.1] * 3, 0.188, *[-3.1] * 3])
 HIGH = np.array([2.2, 1.3, 1.3, *[3.1] * 6, 0.12, 0.28, 0.18, *[3.1] * 3, 0.5, *[3.1] * 3, 0.482, *[3.1] * 3])
 
@@ -43,7 +43,7 @@ def rot(axis: str, angle: float) -> np.ndarray:
 
 
 def closed_form(q: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """P2's forward kinematics written out (facts: icra2015, 2.4): the joint centres, and the palm's rotation."""
+    """P2's forward kinematics written out (docs/papers.md, P2 human): the joint centres, and the palm's rotation."""
     d = dict(zip(DOFS, q, strict=True))
     R = rot("x", d["PelvisRotX"]) @ rot("y", d["PelvisRotY"]) @ rot("z", d["PelvisRotZ"])
     torso = q[:3] + R @ (0.037432, 0, 0.139749)

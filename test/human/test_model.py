@@ -23,7 +23,7 @@ DOFS = [
     "rShoulderX", "rShoulderZ", "rShoulderY", "rArmTrans", "rElbowZ",
 ]  # fmt: skip
 
-# World positions published with the recordings (facts: iros2013, section 2).
+# World positions published with the recordings (docs/papers.md, P1 human).
 PUBLISHED = [
     ("library_a", 3, 2, 99, {
         "right_shoulder": (-0.0337, -1.5649, 1.1070), "right_elbow": (-0.1454, -1.4030, 0.8502),
@@ -65,7 +65,7 @@ def rot(axis: str, angle: float) -> np.ndarray:
 
 
 def closed_form(q: np.ndarray) -> dict[str, np.ndarray]:
-    """P1's forward kinematics written out from absolute zero-pose positions (facts: iros2013, section 2)."""
+    """P1's forward kinematics written out from absolute zero-pose positions (docs/papers.md, P1 human)."""
     p_to, p_sh = np.array([0.037432, 0, 0.139749]), np.array([-0.0112, -0.23982, 0.428571])
     p_el, p_wr = np.array([-0.007033, -0.446428, 0.430224]), np.array([-0.004259, -0.697, 0.43478])
     d = dict(zip(DOFS, q, strict=True))

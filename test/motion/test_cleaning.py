@@ -143,7 +143,7 @@ def test_flags_read_as_sentences() -> None:
 
 
 def test_goals_are_those_of_the_facts() -> None:
-    # Palm at the end of a reach, and at the turning point of a reach and return (facts, section 2).
+    # Palm at the end of a reach, and at the turning point of a reach and return (docs/papers.md, P1 library).
     human = HumanModel.kinect12()
     for name, label, goal in (("library_a", 0, (0.397, -1.478, 0.569)), ("library_b", 4, (1.673, 1.135, 0.707))):
         library = load_library(shared_data(f"iros2013/{name}"))

@@ -112,7 +112,7 @@ def test_libraries_with_other_classes_compare() -> None:
 
 
 def test_library_a_leaks_and_library_b_does_not() -> None:
-    """Facts, section 0: recorded class by class, library_a's start gives the class away; library_b was interleaved."""
+    """Recorded class by class, library_a's start gives the class away; library_b was interleaved."""
     a = load_library(shared_data("iros2013/library_a"))
     b = clean_library(load_library(shared_data("iros2013/library_b")), drop=True)
     assert library_statistics(a).class_found[0] > 0.4

@@ -86,7 +86,7 @@ def test_reaches_can_be_told_apart_later_but_not_early(statistics: LibraryStatis
 
 
 def test_it_resembles_the_recorded_libraries(statistics: LibraryStatistics) -> None:
-    """Ranges around library_b (facts, sections 1 and 2) and, for times, library_a's stamps (one way 1.58 s)."""
+    """Ranges around library_b (docs/papers.md, P1 library) and, for times, library_a's stamps (one way 1.58 s)."""
     assert 2.4 < statistics.duration_s.p50 < 4.0
     assert statistics.frame_period_s.p50 == pytest.approx(1 / 30, rel=0.02)
     assert 0.25 < statistics.mean_speed_m_s.p50 < 0.6
