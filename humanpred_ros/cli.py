@@ -32,9 +32,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "evaluation.recognition:run",
         "how early and surely a reach is recognised (P1 Fig. 6)",
     ),
-    "evaluate occupancy": ("evaluation.occupancy.command:run", "predicted occupancy against the voxels really swept"),
+    "evaluate occupancy": ("evaluation.occupancy:run", "predicted occupancy against the voxels really swept"),
     "evaluate streams": (
-        "evaluation.streams.command:run",
+        "evaluation.streams:run",
         "onsets, ends and recognition on long streams with pauses",
     ),
     "evaluate interference": (

@@ -65,7 +65,7 @@ _PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 #: Titles are broken into lines of no less than this before a table is split, in characters.
 _LEAST_TITLE = 24
 #: More figures than this are shown below each other where there is room for the records side by side.
-_MANY_FIGURES = 8
+_MANY_FIGURES = 12
 _MISSING = "–"
 
 with warnings.catch_warnings():
@@ -241,7 +241,7 @@ def print_table(table: Table, console: Console) -> None:
     cells = [[column.head, *(column.text(record) for record in table.records)] for column in table.columns]
     cells = [line for k, line in enumerate(cells) if k == 0 or any(text != _MISSING for text in line[1:])]
     across = _Layout(cells)
-    turned = _Layout([list(line) for line in zip(*cells, strict=True)])
+    turned = _Layout([list(line) for line in zip(*[["", *cells[0][1:]], *cells[1:]], strict=True)])
     wanted = (turned, across) if len(cells) > max(_MANY_FIGURES, len(table.records)) else (across, turned)
     fitting = [layout for layout in wanted if layout.fits(console.width)]
     for layout in fitting[:1] or across.split(console.width):
@@ -255,14 +255,11 @@ class _Layout:
 
     def __init__(self, columns: Sequence[Sequence[str]]) -> None:
         self.columns = columns
-        self._widths = [max(_longest_word(column[0]), *map(cell_len, column[1:])) for column in columns[1:]]
         self._names = max(map(cell_len, columns[0]))
-        #: What the names leave free: two blanks between columns, and one at each side.
-        self._others = sum(self._widths) + 2 * len(columns) + 1
 
     def fits(self, width: int) -> bool:
-        """Return whether there is room, if need be with names in several lines."""
-        return min(self._names, _LEAST_TITLE) + self._others <= width
+        """Return whether there is room, if need be with names and heads in several lines."""
+        return min(self._names, _LEAST_TITLE) + self._others(self._widths(narrow=True)) <= width
 
     def split(self, width: int) -> Iterator[_Layout]:
         """Give layouts of as many columns as fit, one at least."""
@@ -275,14 +272,28 @@ class _Layout:
         yield _Layout([self.columns[0], *chosen])
 
     def table(self, width: int) -> ScreenTable:
-        names = max(_LEAST_TITLE, width - self._others)
+        widths = self._widths(narrow=False)
+        if self._names + self._others(widths) > width:
+            widths = self._widths(narrow=True)
+        names = max(_LEAST_TITLE, width - self._others(widths))
         table = ScreenTable(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
         table.add_column(_wrapped(self.columns[0][0], names), no_wrap=True)
-        for column, column_width in zip(self.columns[1:], self._widths, strict=True):
-            table.add_column(_wrapped(column[0], column_width), justify="right", no_wrap=True)
+        for column, column_width in zip(self.columns[1:], widths, strict=True):
+            table.add_column(_wrapped(column[0].strip(), column_width), justify="right", no_wrap=True)
         for name, *others in zip(*(column[1:] for column in self.columns), strict=True):
             table.add_row(_wrapped(name, names, "  "), *map(Text, others))
         return table
+
+    def _widths(self, narrow: bool) -> list[int]:
+        """Return the width of each column but the first, with heads in as many lines as words, or in two lines."""
+        return [
+            max(_longest_word(head), 0 if narrow else cell_len(head) // 2 + 1, *map(cell_len, cells))
+            for head, *cells in self.columns[1:]
+        ]
+
+    def _others(self, widths: Sequence[int]) -> int:
+        """Return what the names leave free: two blanks between columns, and one at each side."""
+        return sum(widths) + 2 * len(self.columns) + 1
 
 
 def _wrapped(text: str, width: int, hanging: str = "") -> Text:

@@ -27,19 +27,19 @@ from humanpred_ros.evaluation.framework import (
     present,
 )
 from humanpred_ros.evaluation.needs import check_needs
-from humanpred_ros.evaluation.outputs import library_facts, plain
+from humanpred_ros.evaluation.outputs import library_facts
 from humanpred_ros.evaluation.parallel import map_processes
 from humanpred_ros.evaluation.plots import recognition_plot
 from humanpred_ros.evaluation.published import ReferenceCurve, advice_beside, read_reference, reference_beside
 from humanpred_ros.evaluation.recognition_runs import (
-    EVALUATED,
     REACHING,
     ClassifierChoice,
-    ClassifierConfig,
     LeftOutClass,
     LeftOutRuns,
     Outcome,
     Trace,
+    evaluated_names,
+    evaluated_type,
     learned_of_class,
     needs_of,
     tasks_for,
@@ -68,9 +68,8 @@ from humanpred_ros.evaluation.recognition_scores import (
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER
-from humanpred_ros.recognition.forest import ForestSettings
 from humanpred_ros.recognition.gmm_classifier import GmmSettings
-from humanpred_ros.settings import setting
+from humanpred_ros.settings import setting, setting_of
 
 #: The least probabilities counted in a log-loss: scikit-learn's old default, and one at which a few motions that are
 #: given up for certain do not drown all others.
@@ -91,15 +90,16 @@ class RecognitionSettings(LibrarySettings):
         (0.7, 1.0, 1.4), "play the motions at these factors of their speed, too", low=0.01, high=100.0
     )
     unknown: bool = setting(True, "leave out each class as a whole, too, if there are three classes or more")
-    components: int = setting(GmmSettings().n_components, "gmm: Gaussians per class", low=1)
-    phase: bool = setting(True, "gmm: the phase is a feature beside the posture")
-    evidence: Literal["sum", "mean"] = setting("sum", "gmm: sum or mean of the postures' log densities")
+    components: int = setting_of(GmmSettings, "n_components", description="gmm: Gaussians per class")
+    phase: bool = setting_of(GmmSettings, "phase_feature", description="gmm: the phase is a feature beside the posture")
+    evidence: Literal["sum", "mean"] = setting_of(
+        GmmSettings, "evidence", description="gmm: sum or mean of the postures' log densities"
+    )
     window_frames: int = setting(0, "gmm: count only so many last postures; 0 counts all", low=0)
 
     def check(self) -> None:
         """Raise UsageError for unknown classifiers."""
-        for choice in self.choices:
-            choice.make()
+        _ = self.choices
 
     @property
     def further_speeds(self) -> tuple[float, ...]:
@@ -108,17 +108,20 @@ class RecognitionSettings(LibrarySettings):
 
     @property
     def choices(self) -> tuple[ClassifierChoice, ...]:
-        """The classifiers, each with its settings."""
-        gmm = GmmSettings(
-            n_components=self.components,
-            phase_feature=self.phase,
-            evidence=self.evidence,
-            window_frames=self.window_frames or None,
-            seed=self.seed,
-        )
-        configs: dict[str, ClassifierConfig] = {"forest": ForestSettings(seed=self.seed), "gmm": gmm}
-        names = chosen_names(self.classifier, EVALUATED, "classifier")
-        return tuple(ClassifierChoice(name, configs.get(name)) for name in names)
+        """The classifiers, each with its settings: the seed, if it has one, and those of gmm."""
+        gmm = {
+            "n_components": self.components,
+            "phase_feature": self.phase,
+            "evidence": self.evidence,
+            "window_frames": self.window_frames or None,
+        }
+        choices = []
+        for name in chosen_names(self.classifier, evaluated_names(), "classifier"):
+            kind = evaluated_type(name).settings_type
+            values: dict[str, Any] = {"seed": self.seed} if "seed" in kind.model_fields else {}
+            values.update(gmm if name == "gmm" else {})
+            choices.append(ClassifierChoice(name, kind(**values) if values else None))
+        return tuple(choices)
 
 
 def evaluate_classifier(
@@ -168,7 +171,7 @@ def evaluate_classifier(
     }
     return ClassifierResult(
         name=choice.name,
-        settings={} if choice.config is None else plain(choice.config),
+        settings={} if choice.settings is None else choice.settings.model_dump(),
         learned_of_class=learned_of_class(choice.name),
         rate=rate,
         figures=curve_figures(rate),

@@ -7,23 +7,20 @@ from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
 
 import numpy as np
 
 from humanpred_ros import plugins
-from humanpred_ros.errors import HumanPredError, UsageError
+from humanpred_ros.errors import HumanPredError
 from humanpred_ros.evaluation.leave_one_out import fitted_without
 from humanpred_ros.evaluation.needs import LEARNS_CLASSES, LEARNS_FROM_OTHERS, Needs
 from humanpred_ros.evaluation.recognition_scores import IntArray, percent_indices
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.human.model import HumanModel
+from humanpred_ros.human.model import HumanModel, human_with
 from humanpred_ros.motion.motion import Motion, MotionLibrary, resample
 from humanpred_ros.reaching.place_classifier import GoalClassifier
-from humanpred_ros.reaching.place_model import GoalConfig
 from humanpred_ros.recognition.classifier import Classifier, ClassPosterior, classifier_type
-from humanpred_ros.recognition.forest import ForestSettings
-from humanpred_ros.recognition.gmm_classifier import GmmSettings
+from humanpred_ros.settings import Settings
 
 #: With one of three classes left out, two are left: the least that can be told apart.
 LEAST_CLASSES_FOR_UNKNOWN = 3
@@ -31,30 +28,18 @@ LEAST_CLASSES_FOR_UNKNOWN = 3
 _FIT_TIMING_S = 1.0
 _MOST_FITS = 5
 
-ClassifierConfig: TypeAlias = ForestSettings | GmmSettings | GoalConfig
-
-#: Infers to which of the classes' places a reach goes.
+#: Infers to which of the classes' places a reach goes; evaluated beside the classifiers.
 REACHING = "reaching"
-#: Names of what can be evaluated: the classifiers, and inference of the place.
-EVALUATED = (*plugins.names(plugins.CLASSIFIERS), REACHING)
 
 
-def make_evaluated(name: str, config: ClassifierConfig | None = None) -> Classifier:
-    """Return a classifier by name, to be fitted, with its own kind of settings or the default ones.
+def evaluated_names() -> tuple[str, ...]:
+    """Return the names of what can be evaluated: the installed classifiers, and `REACHING`."""
+    return (*plugins.names(plugins.CLASSIFIERS), REACHING)
 
-    Raises:
-        UsageError: unknown name, with the valid ones, or settings of another classifier.
-    """
-    if name not in EVALUATED:
-        raise UsageError(f"classifier: wanted one of {', '.join(EVALUATED)}, got {name!r}")
-    if name == REACHING:
-        if config is not None and not isinstance(config, GoalConfig):
-            raise UsageError(f"classifier {name}: wanted its own settings, got {type(config).__name__}")
-        return GoalClassifier(config=config)
-    if isinstance(config, GoalConfig):
-        raise UsageError(f"classifier {name}: wanted its own settings, got {type(config).__name__}")
-    kind = classifier_type(name)
-    return kind(HumanModel.kinect12(), config)
+
+def evaluated_type(name: str) -> type[Classifier]:
+    """Return the class of a name of `evaluated_names`. Raises UsageError for another."""
+    return GoalClassifier if name == REACHING else classifier_type(name)
 
 
 def needs_of(name: str) -> Needs:
@@ -72,11 +57,12 @@ class ClassifierChoice:
     """A classifier to evaluate: its name, and its settings; None for the default ones."""
 
     name: str
-    config: ClassifierConfig | None = None
+    settings: Settings | None = None
 
-    def make(self) -> Classifier:
+    def make(self, human: HumanModel) -> Classifier:
         """Return a new classifier to be fitted. Raises UsageError for an unknown name, or settings of another."""
-        return make_evaluated(self.name, self.config)
+        kind = evaluated_type(self.name)
+        return kind(human) if self.settings is None else kind(human, self.settings)
 
 
 @dataclass(frozen=True)
@@ -142,22 +128,21 @@ class LeftOutRuns:
         """Prepare the runs; `speeds` are further speeds, as factors of the recorded one."""
         self.choice = choice
         self.speeds = tuple(speeds)
-        # A library's provenance cannot be pickled, and no classifier learns from it.
-        self._name, self._motions = library.name, library.motions
+        self.library = library
 
     def __call__(self, task: Task) -> Outcome:
         """Run one task. Raises what the classifier's fit raises."""
         return self._left_out_motion(task.name) if isinstance(task, LeftOutMotion) else self._left_out_class(task.label)
 
     @cached_property
-    def library(self) -> MotionLibrary:
-        return MotionLibrary(self._name, self._motions)
+    def _human(self) -> HumanModel:
+        return human_with(self.library.dof_names)
 
     @cached_property
     def _fitted(self) -> tuple[Classifier, tuple[float, ...]]:
         times: list[float] = []
         while True:
-            classifier = self.choice.make()
+            classifier = self.choice.make(self._human)
             begun = time.perf_counter()
             classifier = classifier.fit(self.library)
             times.append(time.perf_counter() - begun)
@@ -182,7 +167,7 @@ class LeftOutRuns:
     def _left_out_class(self, label: int) -> Outcome:
         begun = time.process_time()
         rest = self.library.select(lambda motion: motion.label != label)
-        classifier = self.choice.make().fit(rest)
+        classifier = self.choice.make(self._human).fit(rest)
         traces = tuple(play(classifier, motion, rest.labels) for motion in self.library.of_class(label))
         return Outcome(traces, (), {"unknown motions": time.process_time() - begun})
 

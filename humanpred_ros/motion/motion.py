@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -137,6 +138,13 @@ class MotionLibrary:
             if motion.name in seen:
                 raise LibraryFormatError(f"library {self.name}: two motions are named {motion.name}")
             seen.add(motion.name)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what pickles the library: provenance is a read-only view, which cannot be pickled itself."""
+        return MotionLibrary, (self.name, self.motions, dict(self.provenance))
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> MotionLibrary:
+        return self  # immutable
 
     def __len__(self) -> int:
         return len(self.motions)

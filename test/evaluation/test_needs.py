@@ -9,7 +9,7 @@ from small_library import small_library
 
 from humanpred_ros.errors import LibraryFormatError
 from humanpred_ros.evaluation.needs import LEARNS_CLASSES, LEARNS_FROM_OTHERS, Needs, check_needs
-from humanpred_ros.evaluation.recognition_runs import EVALUATED, REACHING, needs_of, unknown_left_out
+from humanpred_ros.evaluation.recognition_runs import REACHING, evaluated_names, needs_of, unknown_left_out
 from humanpred_ros.motion.motion import MotionLibrary
 
 ENTRIES: dict[str, Needs | None] = {"trees": LEARNS_CLASSES, "places": LEARNS_FROM_OTHERS, "now": None}
@@ -58,7 +58,7 @@ def test_unlabelled_motions_are_only_for_who_learns_nothing() -> None:
 
 
 def test_only_goal_inference_needs_no_more_than_a_place_of_the_tested_class() -> None:
-    assert {name for name in EVALUATED if needs_of(name).n_motions < 3} == {REACHING}
+    assert {name for name in evaluated_names() if needs_of(name).n_motions < 3} == {REACHING}
 
 
 def test_why_no_class_is_left_out_whole_is_said_of_two_and_not_of_three() -> None:

@@ -50,10 +50,6 @@ def outputs_of(*given: str) -> Outputs:
     return Outputs.of(parser.parse_args(given))
 
 
-def test_all_commands_are_looked_at() -> None:
-    assert {"occupancy", "reaching", "planner_bench", "graph_bench"} <= set(COMMANDS)
-
-
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_file_in_no_folder_is_refused_before_any_work(command: str, tmp_path: Path) -> None:
     missing = tmp_path / "missing"
@@ -64,22 +60,6 @@ def test_a_file_in_no_folder_is_refused_before_any_work(command: str, tmp_path: 
             run(command, options_of(command, "--plot", str(missing / "plot.png")))
         with pytest.raises(UsageError, match=r"ends with \.png"):
             run(command, options_of(command, "--plot", str(tmp_path / "plot.jpg")))
-
-
-@pytest.mark.parametrize(
-    ("command", "option", "valid"),
-    [
-        ("occupancy", "--predictor", "swept_volume"),
-        ("reaching", "--predictor", "minimum_jerk"),
-        ("interference", "--methods", "basic"),
-    ],
-)
-@pytest.mark.parametrize("asked", ["oracle", "{valid}, oracle", ""])
-def test_unknown_names_are_refused_with_the_valid_ones_before_any_work(
-    command: str, option: str, valid: str, asked: str
-) -> None:
-    with pytest.raises(UsageError, match=f"wanted (some|one) of .*{valid}.*got .*{'oracle' if asked else ''}"):
-        run(command, options_of(command, option, asked.format(valid=valid)))
 
 
 def test_what_was_asked_for_is_written_and_named(tmp_path: Path) -> None:

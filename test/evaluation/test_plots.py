@@ -7,7 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from humanpred_ros.evaluation.plots import recognition_plot
+from humanpred_ros.evaluation.occupancy_scores import CalibrationTable, Picture, PredictorResult, VoxelFigures
+from humanpred_ros.evaluation.plots import Moment, occupancy_plot, recognition_plot
 from humanpred_ros.evaluation.published import ReferenceCurve
 from humanpred_ros.evaluation.recognition_scores import (
     Calibration,
@@ -65,3 +66,50 @@ def test_nothing_said_is_said_so_and_never_is_never() -> None:
     figure = recognition_plot([classifier("gmm", speaks=False, first=None)])
     assert "never" in figure.axes[0].get_legend().get_texts()[0].get_text()
     assert "no classifier" in figure.axes[2].texts[0].get_text()
+
+
+PERCENTS = (10, 40, 70)
+
+
+def predictor(name: str, *, drawn: bool = True) -> PredictorResult:
+    bins = np.arange(11) / 10 - 0.05
+    above = np.zeros((30, 40), dtype=np.float32)
+    above[10:20, 15:22] = 0.4
+    above[0, 0] = 0.01  # far away and next to nothing
+    count = np.where(bins < 0.3, 0.0, 100 * bins)
+    table = CalibrationTable((), count, bins, bins**2, 0.0, 0.07)
+    nothing = np.zeros(3)
+    missed = np.array([0.3, np.nan, 0.1])
+    at_percent = VoxelFigures(nothing, np.array([300.0, 200.0, 100.0]), nothing, nothing, missed, nothing, nothing)
+    picture = Picture(40, above, above) if drawn else None
+    everything = {field.name: None for field in dataclasses.fields(PredictorResult)}
+    found = {"name": name, "at_percent": at_percent, "calibration": table, "picture": picture}
+    return PredictorResult(**{**everything, **found})  # type: ignore[arg-type]
+
+
+def moment() -> Moment:
+    swept = np.zeros((30, 40), dtype=np.float32)
+    swept[12:18, 14:20] = 1.0
+    return Moment("motion 3/4, 40 % seen", swept, (1.0, -2.0, 0.0), 0.05)
+
+
+def test_every_predictor_has_its_curves_and_its_picture() -> None:
+    with report_style():
+        figure = occupancy_plot(PERCENTS, [predictor("current"), predictor("p1")], moment())
+    upper, lower = figure.subfigs
+    errors, missed, reliability = upper.axes
+    assert [text.get_text() for text in upper.legends[0].get_texts()] == ["current", "p1"]
+    np.testing.assert_array_equal(errors.get_lines()[0].get_ydata(), [300.0, 200.0, 100.0])
+    np.testing.assert_array_equal(missed.get_lines()[1].get_ydata(), [30.0, np.nan, 10.0])
+    assert "p1 (error 0.07)" in [text.get_text() for text in reliability.get_legend().get_texts()]
+    titles = [axes.get_title("left") for axes in lower.axes]
+    assert titles[:3] == ["motion 3/4, 40 % seen\nreally swept", "current", "p1"]
+    # The picture is cut to what matters, in metres of the world.
+    x0, x1, y0, y1 = lower.axes[1].get_images()[0].get_extent()
+    assert (x0, x1, y0, y1) == pytest.approx((1.35, 2.15, -1.45, -0.75))
+
+
+def test_without_a_moment_there_is_no_second_row_and_nothing_swept_can_be_drawn() -> None:
+    assert len(occupancy_plot(PERCENTS, [predictor("current", drawn=False)], None).subfigs[0].axes) == 3
+    nothing = Moment("gone", np.zeros((30, 40), dtype=np.float32), (0.0, 0.0, 0.0), 0.05)
+    occupancy_plot(PERCENTS, [predictor("current")], nothing).draw_without_rendering()

@@ -13,29 +13,24 @@ from small_library import small_library
 
 from humanpred_ros import plugins
 from humanpred_ros.errors import ArrayError, LibraryFormatError, MotionError, SettingsError, UsageError
-from humanpred_ros.evaluation import recognition
 from humanpred_ros.evaluation.outputs import plain
 from humanpred_ros.evaluation.published import ReferenceCurve
 from humanpred_ros.evaluation.recognition import RecognitionSettings, evaluate_classifier
 from humanpred_ros.evaluation.recognition_runs import (
-    EVALUATED,
     REACHING,
     ClassifierChoice,
     LeftOutClass,
     LeftOutMotion,
     LeftOutRuns,
     at_speed,
-    make_evaluated,
     play,
     tasks_for,
 )
 from humanpred_ros.evaluation.recognition_scores import PERCENTS, ClassifierResult, curve_figures, unknown_score
 from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.reaching.place_classifier import GoalClassifier
-from humanpred_ros.reaching.place_model import GoalConfig
 from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
-from humanpred_ros.recognition.forest import ForestSettings
 from humanpred_ros.recognition.gmm_classifier import GmmSettings
 
 GMM = ClassifierChoice("gmm", GmmSettings(n_components=2))
@@ -81,7 +76,7 @@ class Recorder(Classifier):
 class RecorderChoice(ClassifierChoice):
     name: str = "recorder"
 
-    def make(self) -> Recorder:
+    def make(self, human: HumanModel) -> Recorder:
         return Recorder()
 
 
@@ -258,8 +253,7 @@ def test_what_cannot_be_evaluated_is_refused_before_any_work() -> None:
         SETTINGS.replaced(classifier=("nonesuch",))
 
 
-def test_of_two_classes_none_is_left_out_whole_and_all_else_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recognition, "map_processes", lambda run, tasks, *others: list(map(run, tasks)))
+def test_of_two_classes_none_is_left_out_whole_and_all_else_is_done(in_this_process: None) -> None:
     two = small_library(n_classes=2, n_motions=2, n_frames=30, there_and_back=True)
     found = evaluate_classifier(ClassifierChoice(REACHING), two, SETTINGS.replaced(speeds=(1.0,)))
     assert found.unknown is None
@@ -269,19 +263,15 @@ def test_of_two_classes_none_is_left_out_whole_and_all_else_is_done(monkeypatch:
     assert len(tasks_for(LIBRARY, True)) == 12 + 3
 
 
-def test_every_classifier_can_be_evaluated_and_reaching_too() -> None:
-    assert list(EVALUATED) == [*plugins.names(plugins.CLASSIFIERS), REACHING]
-    made = make_evaluated(REACHING, GoalConfig(n_postures=7))
-    assert isinstance(made, GoalClassifier)
-    assert made.config.n_postures == 7
+def test_every_installed_classifier_is_evaluated_and_reaching_too() -> None:
+    assert SETTINGS.choices[0].settings is not None
+    assert [choice.name for choice in SETTINGS.choices] == [*plugins.names(plugins.CLASSIFIERS), REACHING]
+    assert {choice.name: choice.settings.seed for choice in SETTINGS.choices[:2]} == {"forest": 3, "gmm": 3}
 
 
-@pytest.mark.parametrize(
-    ("name", "config"), [(REACHING, GmmSettings()), ("forest", GoalConfig()), ("gmm", ForestSettings()), ("none", None)]
-)
-def test_unknown_names_and_foreign_settings_are_refused(name: str, config: GmmSettings | GoalConfig | None) -> None:
-    with pytest.raises(UsageError, match=r"wanted (its own settings|one of forest, gmm, reaching)"):
-        make_evaluated(name, config)
+def test_foreign_settings_are_refused() -> None:
+    with pytest.raises(UsageError, match="wanted settings of the class ForestSettings, got GmmSettings"):
+        ClassifierChoice("forest", GmmSettings()).make(HumanModel.kinect12())
 
 
 def test_a_left_out_motion_is_judged_with_its_place_and_a_left_out_class_without() -> None:
@@ -292,7 +282,7 @@ def test_a_left_out_motion_is_judged_with_its_place_and_a_left_out_class_without
     assert {trace.known.shape for trace in runs(LeftOutClass(10)).traces} == {(100, 2)}
 
 
-def test_what_a_classifier_cannot_learn_is_told_in_its_words() -> None:
+def test_what_a_classifier_cannot_learn_is_told_in_its_words(in_this_process: None) -> None:
     too_many = ClassifierChoice("gmm", GmmSettings(n_components=500))
     with pytest.raises(LibraryFormatError, match="use fewer components"):
         evaluate_classifier(too_many, LIBRARY, SETTINGS)

@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from small_library import small_library
 
 from humanpred_ros.errors import MotionError
 from humanpred_ros.motion.motion import SKELETON_POINTS, Motion, resample, resample_phase, unwrap_angles
@@ -86,3 +90,11 @@ def test_impossible_stamps_are_refused(t_s: list[float]) -> None:
         resample(motion, t_s=t_s)
     with pytest.raises(MotionError, match="phases"):
         resample_phase(motion, 1)
+
+
+def test_a_library_can_be_pickled_and_is_not_copied_since_it_cannot_change() -> None:
+    library = small_library(2, 1, 5)
+    again = pickle.loads(pickle.dumps(library))
+    assert (again.name, dict(again.provenance)) == (library.name, dict(library.provenance))
+    assert [motion.name for motion in again] == [motion.name for motion in library]
+    assert copy.deepcopy(library) is library

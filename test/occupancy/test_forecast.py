@@ -14,8 +14,8 @@ from scipy.ndimage import binary_dilation
 from small_library import REST, small_library
 
 from humanpred_ros.errors import ArrayError, MotionError, SettingsError, UsageError
-from humanpred_ros.evaluation.evaluation_grid import grid_around
-from humanpred_ros.evaluation.occupancy.scores import Reliability
+from humanpred_ros.evaluation.occupancy_runs import grid_around
+from humanpred_ros.evaluation.occupancy_scores import Reliability
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from humanpred_ros.evaluation.occupancy import scores as occupancy_scores
+from humanpred_ros.evaluation import occupancy_scores
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.robot.scene import Scene
 from humanpred_ros.viewing import reliability

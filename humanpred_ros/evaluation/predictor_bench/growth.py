@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from humanpred_ros.evaluation.evaluation_grid import P1_RESOLUTION_M
+from humanpred_ros.evaluation.occupancy_runs import P1_RESOLUTION_M
 from humanpred_ros.evaluation.predictor_bench.people import People
 from humanpred_ros.evaluation.predictor_bench.timing import Timing, update_seconds
 from humanpred_ros.geometry.lattice import VoxelGrid

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from humanpred_ros.evaluation.evaluation_grid import P1_RESOLUTION_M, grid_around
+from humanpred_ros.evaluation.occupancy_runs import P1_RESOLUTION_M, grid_around
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel, human_named, name_of_human
 from humanpred_ros.motion.motion import Motion, MotionLibrary

@@ -6,8 +6,8 @@ for something a person could not do, the pieces are:
 - the recorded motion, as it is, noise and all;
 - a closing stroke, of least jerk, that takes up the recording's last velocity and brings every DoF to the posture
   from which the next motion starts (angles the short way round), at half the motion's greatest palm speed: the rest
-  of the return. Where a library's motions end at the goal, the hand stops there instead, stays for a pause, and
-  then returns by such a stroke, which makes it a motion of its own: a `made` one;
+  of the return. Where a library's motions end at the place reached for, the hand stops there instead, stays for a
+  pause, and then returns by such a stroke, which makes it a motion of its own: a `made` one;
 - a pause of standing in the posture that the next recording starts from, with the noise of recorded rests.
 
 Angles are recorded values or within half a turn: they wrap as the sensor's do.
@@ -22,38 +22,19 @@ from typing import NamedTuple
 import numpy as np
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.standing import StandingNoise, median_slope
-from humanpred_ros.evaluation.streams.truth import motion_span
+from humanpred_ros.evaluation.standing import MARGIN_S, PALM, REST_S, StandingNoise, median_slope, motion_span
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary, is_angle, unwrap_angles
 
-_PALM = "right_palm"
-
-
-@dataclass(frozen=True)
-class StreamConfig:
-    """How pieces are put together.
-
-    Attributes:
-        pause_s: a pause is uniform in this range.
-        lead_s: standing before the first motion and after the last, at least.
-        stroke_s: shortest and longest closing stroke.
-        stroke_speed_share: a closing stroke's greatest speed, as a share of the motion's.
-        velocity_s: the recording's last velocity is the median slope of so much of its end.
-        stop_s: time to stop at the goal, where motions end there.
-    """
-
-    pause_s: tuple[float, float] = (1.0, 5.0)
-    lead_s: float = 2.0
-    stroke_s: tuple[float, float] = (0.3, 1.5)
-    stroke_speed_share: float = 0.5
-    velocity_s: float = 0.1
-    stop_s: float = 0.2
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.pause_s[0] <= self.pause_s[1]:
-            raise UsageError(f"streams: wanted pauses from above 0 s to no less than that, got {self.pause_s}")
+#: A pause is uniform in this range; before the first motion and after the last there is standing of this at least.
+PAUSE_S, LEAD_S = (1.0, 5.0), 2.0
+#: Shortest and longest closing stroke, and its greatest speed as a share of the motion's.
+_STROKE_S, _STROKE_SPEED_SHARE = (0.3, 1.5), 0.5
+#: The recording's last velocity is the median slope of so much of its end.
+_VELOCITY_S = 0.1
+#: Time to stop at the place reached for, where motions end there.
+_STOP_S = 0.2
 
 
 @dataclass(frozen=True)
@@ -87,10 +68,10 @@ class Stream:
 
 
 def returns_home(library: MotionLibrary, human: HumanModel) -> bool:
-    """Return whether the library's motions come back: half of them end nearer to their start than to their goal."""
+    """Return whether the library's motions come back: half of them end nearer to the start than to where they turn."""
     shares = []
     for motion in library:
-        palm = human.forward(motion.q)[_PALM]
+        palm = human.forward(motion.q)[PALM]
         away = np.linalg.norm(palm - palm[0], axis=1)
         shares.append(away[-1] / max(float(away.max()), 1e-9))
     return bool(np.median(shares) < 0.5)
@@ -103,7 +84,8 @@ def build_stream(
     rng: np.random.Generator,
     *,
     come_back: bool,
-    config: StreamConfig | None = None,
+    pause_s: tuple[float, float] = PAUSE_S,
+    lead_s: float = LEAD_S,
 ) -> Stream:
     """Return one stream of the motions, in their order.
 
@@ -113,14 +95,17 @@ def build_stream(
         noise: of standing.
         rng: draws pauses and noise.
         come_back: the motions return by themselves (`returns_home`).
-        config: see there.
+        pause_s: a pause is uniform in this range.
+        lead_s: standing before the first motion and after the last, at least.
 
     Raises:
-        UsageError: no motions.
+        UsageError: no motions, or pauses that are none.
     """
     if not motions:
         raise UsageError("streams: wanted at least one motion, got none")
-    return _Builder(human, noise, rng, come_back, StreamConfig() if config is None else config).build(motions)
+    if not 0.0 < pause_s[0] <= pause_s[1]:
+        raise UsageError(f"streams: wanted pauses from above 0 s to no less than that, got {pause_s}")
+    return _Builder(human, noise, rng, come_back, pause_s, lead_s).build(motions)
 
 
 def standing_stream(posture: FloatArray, duration_s: float, noise: StandingNoise, rng: np.random.Generator) -> Stream:
@@ -145,9 +130,11 @@ class _Builder:
         noise: StandingNoise,
         rng: np.random.Generator,
         come_back: bool,
-        config: StreamConfig,
+        pause_s: tuple[float, float],
+        lead_s: float,
     ) -> None:
-        self.human, self.noise, self.rng, self.come_back, self.config = human, noise, rng, come_back, config
+        self.human, self.noise, self.rng, self.come_back = human, noise, rng, come_back
+        self.pause_s, self.lead_s = pause_s, lead_s
         self.now_s = 0.0
         self.t_s: list[FloatArray] = []
         self.q: list[FloatArray] = []
@@ -158,7 +145,7 @@ class _Builder:
 
     def build(self, motions: Sequence[Motion]) -> Stream:
         stands = [self._stand(motion) for motion in motions]
-        self._pause(stands[0], self.config.lead_s + self._pause_s())
+        self._pause(stands[0], self.lead_s + self._pause_s())
         for k, motion in enumerate(motions):
             following = stands[min(k + 1, len(motions) - 1)]
             start_s = self.now_s + motion.period_s
@@ -169,20 +156,20 @@ class _Builder:
                 self._stroke(motion.q[-1], velocity, following, peak_mps, motion.period_s)
                 self.pieces.append(_Piece(motion, False, start_s, stop_s))
             else:
-                goal = motion.q[-1] + 0.5 * self.config.stop_s * velocity
-                self._stroke(motion.q[-1], velocity, goal, peak_mps, motion.period_s, self.config.stop_s)
+                target = motion.q[-1] + 0.5 * _STOP_S * velocity
+                self._stroke(motion.q[-1], velocity, target, peak_mps, motion.period_s, _STOP_S)
                 self.pieces.append(_Piece(motion, False, start_s, stop_s))
-                self._pause(goal, self._pause_s())
+                self._pause(target, self._pause_s())
                 start_s = self.now_s
-                self._stroke(goal, np.zeros_like(goal), following, peak_mps, motion.period_s)
+                self._stroke(target, np.zeros_like(target), following, peak_mps, motion.period_s)
                 self.pieces.append(_Piece(motion, True, start_s, self.now_s))
-            self._pause(following, self._pause_s() + (self.config.lead_s if k + 1 == len(motions) else 0.0))
+            self._pause(following, self._pause_s() + (self.lead_s if k + 1 == len(motions) else 0.0))
         t_s, q = np.concatenate(self.t_s), np.concatenate(self.q)
         return Stream(t_s, q, self._placed(t_s, np.concatenate(self.clean)))
 
     def _placed(self, t_s: FloatArray, clean: FloatArray) -> tuple[Placed, ...]:
         """Return each motion with its true span, seen from the middle of the pause before to that of the one after."""
-        palm = self.human.forward(clean)[_PALM]
+        palm = self.human.forward(clean)[PALM]
         rests_until_s = [*(piece.start_s for piece in self.pieces), float(t_s[-1])]
         middles = [0.5 * (begin + end) for begin, end in zip(self.rest_from_s, rests_until_s, strict=True)]
         placed = []
@@ -203,7 +190,7 @@ class _Builder:
             self.now_s = float(t_s[-1])
 
     def _pause_s(self) -> float:
-        return float(self.rng.uniform(*self.config.pause_s))
+        return float(self.rng.uniform(*self.pause_s))
 
     def _pause(self, posture: FloatArray, duration_s: float) -> None:
         self.rest_from_s.append(self.now_s)
@@ -215,18 +202,18 @@ class _Builder:
         self,
         start: FloatArray,
         velocity: FloatArray,
-        goal: FloatArray,
+        target: FloatArray,
         peak_mps: float,
         period_s: float,
         duration_s: float | None = None,
     ) -> None:
-        """Append the stroke from `start` with `velocity` to rest at `goal`, at a frame every `period_s`."""
-        change = _short_way(goal - start, self.noise.dof_names)
+        """Append the stroke from `start` with `velocity` to rest at `target`, at a frame every `period_s`."""
+        change = _short_way(target - start, self.noise.dof_names)
         if duration_s is None:
-            palm = self.human.forward(np.stack([start, start + change]))[_PALM]
+            palm = self.human.forward(np.stack([start, start + change]))[PALM]
             # A stroke of least jerk is 1.875 times as fast in the middle as on average.
-            speed = max(self.config.stroke_speed_share * peak_mps, 1e-6)
-            duration_s = float(np.clip(1.875 * np.linalg.norm(palm[1] - palm[0]) / speed, *self.config.stroke_s))
+            speed = max(_STROKE_SPEED_SHARE * peak_mps, 1e-6)
+            duration_s = float(np.clip(1.875 * np.linalg.norm(palm[1] - palm[0]) / speed, *_STROKE_S))
         n = max(2, round(duration_s / period_s))
         u: FloatArray = (np.arange(1, n + 1) / n)[:, None]
         least_jerk = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
@@ -238,8 +225,8 @@ class _Builder:
     def _stand(self, motion: Motion) -> FloatArray:
         """Return the posture (D,) from which a motion starts: the median of its rest, its first posture if none."""
         q = unwrap_angles(motion).q
-        onset_s = motion_span(motion.t_s, self.human.forward(q)[_PALM]).onset_s
-        until_s = min(onset_s - self.noise.config.margin_s, motion.t_s[0] + self.noise.config.rest_s)
+        onset_s = motion_span(motion.t_s, self.human.forward(q)[PALM]).onset_s
+        until_s = min(onset_s - MARGIN_S, motion.t_s[0] + REST_S)
         n = int(np.searchsorted(motion.t_s, until_s))
         posture: FloatArray = np.median(q[:n], axis=0) if n >= 3 else q[0]
         return posture
@@ -247,11 +234,11 @@ class _Builder:
     def _last_velocity(self, motion: Motion) -> FloatArray:
         """Return the median of the slopes between the last frames, which a single bad frame does not change."""
         q = unwrap_angles(motion).q
-        first = min(len(q) - 2, int(np.searchsorted(motion.t_s, motion.t_s[-1] - self.config.velocity_s)))
+        first = min(len(q) - 2, int(np.searchsorted(motion.t_s, motion.t_s[-1] - _VELOCITY_S)))
         return median_slope(motion.t_s[first:], q[first:])
 
     def _peak(self, motion: Motion) -> float:
-        return motion_span(motion.t_s, self.human.forward(motion.q)[_PALM]).peak_mps
+        return motion_span(motion.t_s, self.human.forward(motion.q)[PALM]).peak_mps
 
 
 def _short_way(change: FloatArray, dof_names: Sequence[str]) -> FloatArray:

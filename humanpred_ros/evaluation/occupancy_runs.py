@@ -1,4 +1,4 @@
-"""A predictor is judged on motions it has not learned from; these are the runs, one motion left out each."""
+"""The runs of an evaluation of occupancy: one motion left out each; and the lattice and region that scores are over."""
 
 from __future__ import annotations
 
@@ -9,63 +9,30 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
-from humanpred_ros.errors import HumanPredError
+from humanpred_ros.errors import HumanPredError, UsageError
 from humanpred_ros.evaluation.leave_one_out import FoldSettings, LeaveOneOut, leave_one_out
-from humanpred_ros.evaluation.occupancy.scores import VoxelScores, voxel_scores
+from humanpred_ros.evaluation.occupancy_scores import MotionOutcome, Picture, VoxelScores, voxel_scores
 from humanpred_ros.evaluation.recognition_scores import percent_indices
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.motion.placement import placed
+from humanpred_ros.motion.placement import pelvis_columns, placed
 from humanpred_ros.occupancy.predictor import Predictor
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
 from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.recognition.training import REACHING_LINK
 
+#: P1's environment box along x, y, z (P1 occupancy); in voxels of 0.05 m it is 80 x 80 x 48.
+BOX_M = (4.0, 4.0, 2.4)
+P1_RESOLUTION_M = 0.05
+#: Shares of the library's places outside of which a place may be a tracker's mistake.
+_OUTER_PERCENT = (1.0, 99.0)
 #: Where a test motion ends: with the recording, or when the palm is farthest from where it started.
 ENDS = ("end", "apex")
-
-
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """One moment seen from above: the highest value in each column of voxels.
-
-    Attributes:
-        percent: share of the motion seen.
-        swept: (X, Y) 1 where the body is from then on, else 0.
-        predicted: (X, Y) probability.
-    """
-
-    percent: int
-    swept: NDArray[np.float32]
-    predicted: NDArray[np.float32]
-
-
-@dataclass(frozen=True, eq=False)
-class MotionOutcome:
-    """What a predictor made of one motion that it had not learned from.
-
-    Attributes:
-        name: the motion.
-        scores: of the prediction after each percentage of the motion.
-        update_ns: (T,) how long each update took.
-        refused: postures the predictor refused; its prediction then stays what it was.
-        prepare_s: how long it took to train without this motion.
-        picture: the moment asked for, if this is the motion asked for.
-        untold: the scores of who is told places, shown the motion once more without having been told this one's; None
-            for who is told none, or would be left with none.
-    """
-
-    name: str
-    scores: tuple[VoxelScores, ...]
-    update_ns: NDArray[np.int64]
-    refused: int
-    prepare_s: float
-    picture: Picture | None
-    untold: tuple[VoxelScores, ...] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +48,7 @@ class OccupancySetup:
         until: one of `ENDS`.
         T_shift: (4, 4) moves the people of the test motions, in the library's frame; training motions stay.
         classifier, gmm: as in `FoldSettings`.
-        untaught: names of motions that nothing is ever learned from.
+        not_learned_from: names of motions that nothing is ever learned from.
         picture: (motion, percent) of which a picture is wanted.
     """
 
@@ -94,7 +61,7 @@ class OccupancySetup:
     T_shift: FloatArray
     classifier: str
     gmm: GmmSettings
-    untaught: frozenset[str]
+    not_learned_from: frozenset[str]
     picture: tuple[str, int]
 
 
@@ -105,13 +72,11 @@ class LeftOutMotions:
     """
 
     def __init__(self, predictors: Sequence[str], library: MotionLibrary, setup: OccupancySetup) -> None:
-        self.predictors, self.setup = tuple(predictors), setup
-        # A library's provenance cannot be pickled, and nobody learns from it.
-        self._name, self._motions = library.name, library.motions
+        self.predictors, self.library, self.setup = tuple(predictors), library, setup
 
     def __call__(self, name: str) -> tuple[MotionOutcome, ...]:
         """Run one motion. Raises what training raises."""
-        setup, motion = self.setup, self._library.find(name)
+        setup, motion = self.setup, self.library.find(name)
         postures, t_s = until_end(placed(motion, setup.T_shift), setup.human, setup.until)
         last_touch = self._voxeliser.last_touch(postures).ravel()
         outcomes = []
@@ -122,13 +87,9 @@ class LeftOutMotions:
             outcome = _played(predictor, name, postures, t_s, last_touch, prepare_s, setup)
             if _forgets_place(predictor, motion.label):
                 again = _played(predictor, name, postures, t_s, last_touch, prepare_s, setup)
-                outcome = replace(outcome, untold=again.scores)
+                outcome = replace(outcome, unlisted=again.scores)
             outcomes.append(outcome)
         return tuple(outcomes)
-
-    @cached_property
-    def _library(self) -> MotionLibrary:
-        return MotionLibrary(self._name, self._motions)
 
     @cached_property
     def _voxeliser(self) -> BodyVoxeliser:
@@ -137,7 +98,7 @@ class LeftOutMotions:
     @cached_property
     def _folds(self) -> tuple[LeaveOneOut, ...]:
         s = self.setup
-        taught = self._library.select(lambda motion: motion.name not in s.untaught)
+        taught = self.library.select(lambda motion: motion.name not in s.not_learned_from)
         settings = FoldSettings(taught, s.human, s.grid, s.T_world_human, s.classifier, s.gmm, s.T_shift)
         return tuple(leave_one_out(predictor, settings) for predictor in self.predictors)
 
@@ -198,3 +159,56 @@ def _played(
             above = [volume.reshape(shape).max(axis=2).astype(np.float32) for volume in (swept, predicted)]
             picture = Picture(setup.picture[1], *above)
     return MotionOutcome(name, tuple(scores[k] for k in seen.tolist()), update_ns, refused, prepare_s, picture)
+
+
+def grid_around(library: MotionLibrary, human: HumanModel, resolution_m: float = P1_RESOLUTION_M) -> VoxelGrid:
+    """Return a lattice of P1's size in the library's own frame, centred where its people stand and reach.
+
+    Horizontally the centre is the middle of all start pelvises and palms (but for the outermost hundredths), vertically
+    the middle of the body at the median start. The corner lies on a multiple of the resolution.
+
+    Raises:
+        UsageError: people or palms that do not fit into the box, or a resolution that is not a length within it.
+        MotionError, HumanModelError: a library whose bodies cannot stand anywhere, or of another human.
+    """
+    if not 0.0 < resolution_m <= min(BOX_M):
+        raise UsageError(f"grid: wanted voxels of a positive size up to {min(BOX_M)} m, got {resolution_m}")
+    human.check_dofs(library.dof_names)
+    columns = pelvis_columns(library.dof_names)
+    starts = np.array([motion.q[0] for motion in library])
+    palms = human.forward(np.concatenate([motion.q for motion in library]))[REACHING_LINK]
+    boxes = [np.percentile(places, _OUTER_PERCENT, axis=0) for places in (starts[:, columns[:3]], palms)]
+    low, high = np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)
+    body_z = human.surface_points(np.median(starts, axis=0))[:, 2]
+    low[2], high[2] = min(low[2], body_z.min()), max(high[2], body_z.max())
+    middle = (low + high) / 2
+    middle[2] = (body_z.min() + body_z.max()) / 2
+    box = np.array(BOX_M)
+    if (low < middle - box / 2).any() or (high > middle + box / 2).any():
+        raise UsageError(
+            f"grid: wanted a library whose people fit into {BOX_M} m, {library.name} extends over "
+            f"{np.round(high - low, 2).tolist()} m; name a scene with a larger grid"
+        )
+    # Rounded again, so that -0.6 is -0.6 in a file, too.
+    origin = np.round(np.round((middle - box / 2) / resolution_m) * resolution_m, 9)
+    x, y, z = (round(length / resolution_m) for length in BOX_M)
+    return VoxelGrid((float(origin[0]), float(origin[1]), float(origin[2])), resolution_m, (x, y, z))
+
+
+def swept_region(library: MotionLibrary, voxeliser: BodyVoxeliser, margin_voxels: int) -> NDArray[np.bool_]:
+    """Return the boolean grid of voxels that some motion sweeps, widened by a margin: where scores are taken.
+
+    Raises:
+        UsageError: no motion touches the grid.
+    """
+    region = np.zeros(voxeliser.grid.shape, dtype=np.bool_)
+    for motion in library:
+        region |= voxeliser.mask(motion.q)
+    if not region.any():
+        raise UsageError(
+            f"grid: wanted people within it, those of {library.name} are all outside; "
+            "check the scene's human placement and the shift"
+        )
+    if margin_voxels:
+        region = binary_dilation(region, iterations=margin_voxels)
+    return region

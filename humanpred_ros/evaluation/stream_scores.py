@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from humanpred_ros.evaluation.streams.composed import Placed
+from humanpred_ros.evaluation.stream_composed import Placed
 from humanpred_ros.recognition.onset import MotionState
 
 #: An announcement up to this long before what it announces still counts as one of it.

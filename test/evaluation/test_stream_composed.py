@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from small_library import DOF_NAMES, REST, small_library
 
 from humanpred_ros.errors import LibraryFormatError, MotionError, UsageError
-from humanpred_ros.evaluation.standing import StandingConfig, StandingNoise, median_slope, standing_noise
-from humanpred_ros.evaluation.streams.composed import Stream, StreamConfig, build_stream, returns_home, standing_stream
-from humanpred_ros.evaluation.streams.truth import motion_span, palm_speed
+from humanpred_ros.evaluation.standing import StandingNoise, median_slope, motion_span, palm_speed, standing_noise
+from humanpred_ros.evaluation.stream_composed import Stream, build_stream, returns_home, standing_stream
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 
@@ -144,8 +143,8 @@ def test_what_lies_between_true_onsets_and_ends_is_all_that_moves(seed: int, the
 
 def test_pauses_are_as_long_as_asked() -> None:
     motions = [motion for motion in library() if motion.index == 1]
-    config = StreamConfig(pause_s=(2.0, 2.0), lead_s=1.0)
-    found = build_stream(motions, human(), noise(), np.random.default_rng(0), come_back=True, config=config)
+    rng = np.random.default_rng(0)
+    found = build_stream(motions, human(), noise(), rng, come_back=True, pause_s=(2.0, 2.0), lead_s=1.0)
     assert found.placed[0].start_s == pytest.approx(3.0, abs=0.1)
     for one, following in zip(found.placed, found.placed[1:], strict=False):
         assert 2.0 < following.start_s - one.stop_s < 2.0 + 1.5 + 0.1  # pause and closing stroke
@@ -176,7 +175,7 @@ def test_whether_motions_come_back_is_seen() -> None:
 
 
 def test_standing_shows_the_noise_of_the_recordings_and_goes_nowhere() -> None:
-    plain = StandingNoise(noise().rests, DOF_NAMES, StandingConfig(sway_m=0.0, sway_rad=0.0))
+    plain = StandingNoise(noise().rests, DOF_NAMES, sway=0.0)
     found = standing_stream(REST, 120.0, plain, np.random.default_rng(0))
     assert found.placed == ()
     assert found.t_s[-1] == pytest.approx(120.0, abs=0.1)
@@ -206,7 +205,8 @@ def test_a_few_bad_frames_do_not_tilt_a_line() -> None:
 
 
 def test_impossible_requests_are_refused() -> None:
+    rng = np.random.default_rng(0)
     with pytest.raises(UsageError, match="motion"):
-        build_stream([], human(), noise(), np.random.default_rng(0), come_back=True)
+        build_stream([], human(), noise(), rng, come_back=True)
     with pytest.raises(UsageError, match="pauses"):
-        StreamConfig(pause_s=(0.0, 1.0))
+        build_stream(library().motions, human(), noise(), rng, come_back=True, pause_s=(0.0, 1.0))

@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from humanpred_ros.errors import HumanPredError, LibraryFormatError
-from humanpred_ros.evaluation.recognition_runs import make_evaluated
+from humanpred_ros.evaluation.recognition_runs import ClassifierChoice
 from humanpred_ros.evaluation.recognition_scores import decided_right
 from humanpred_ros.evaluation.standing import StandingNoise, standing_noise
-from humanpred_ros.evaluation.streams.composed import Placed, Stream, build_stream, returns_home, standing_stream
-from humanpred_ros.evaluation.streams.scores import EventLog, FalseStarts, MotionScore, score_events
+from humanpred_ros.evaluation.stream_composed import Placed, Stream, build_stream, returns_home, standing_stream
+from humanpred_ros.evaluation.stream_scores import EventLog, FalseStarts, MotionScore, score_events
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.human.model import HumanModel
+from humanpred_ros.human.model import HumanModel, human_with
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
 from humanpred_ros.recognition.onset import BodyPoints, OnsetConfig, OnsetDetector
@@ -105,22 +105,17 @@ class StreamRuns:
 
         Args:
             library: whose motions with one index are one round.
-            classifier: a name in the registry; None to look at onsets and ends only.
+            classifier: its name; None to look at onsets and ends only.
             onset: the detector's settings.
             seed: of pauses, noise and order; each round has its own generator.
             standing_s: duration of mere standing, of all rounds together.
         """
-        # A library's provenance cannot be pickled, and nothing here needs it.
-        self._name, self._motions = library.name, library.motions
+        self.library = library
         self.classifier, self.onset, self.seed, self.standing_s = classifier, onset, seed, standing_s
 
     @cached_property
-    def library(self) -> MotionLibrary:
-        return MotionLibrary(self._name, self._motions)
-
-    @cached_property
     def human(self) -> HumanModel:
-        return HumanModel.kinect12()
+        return human_with(self.library.dof_names)
 
     @cached_property
     def rounds(self) -> tuple[int, ...]:
@@ -188,7 +183,7 @@ class StreamRuns:
 
     def _recognition(self, index: int, name: str) -> tuple[tuple[Recognition, ...], int, FloatArray]:
         rest = self.library.select(lambda motion: motion.index != index)
-        wrapped = StreamClassifier(make_evaluated(name), human=self.human)
+        wrapped = StreamClassifier(ClassifierChoice(name).make(self.human), human=self.human)
         wrapped.config = replace(wrapped.config, onset=self.onset)
         classifier = wrapped.fit(rest)
         stream, _ = self.streams(index, VARIANTS[0])

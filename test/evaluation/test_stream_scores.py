@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from humanpred_ros.evaluation.streams.composed import Placed
-from humanpred_ros.evaluation.streams.scores import Event, EventLog, FalseStarts, onset_figures, score_events
+from humanpred_ros.evaluation.stream_composed import Placed
+from humanpred_ros.evaluation.stream_scores import Event, EventLog, FalseStarts, onset_figures, score_events
 from humanpred_ros.recognition.onset import MotionState
 
 PLACED = (

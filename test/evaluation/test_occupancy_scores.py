@@ -12,7 +12,7 @@ from sklearn.metrics import average_precision_score, brier_score_loss
 from sklearn.metrics import log_loss as sklearn_log_loss
 
 from humanpred_ros.errors import ArrayError
-from humanpred_ros.evaluation.occupancy.scores import (
+from humanpred_ros.evaluation.occupancy_scores import (
     BIN_EDGES,
     LOG_CLIP,
     Reliability,

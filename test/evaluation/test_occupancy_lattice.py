@@ -8,7 +8,7 @@ from paths import shared_data
 from small_library import small_library
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.evaluation_grid import grid_around, swept_region
+from humanpred_ros.evaluation.occupancy_runs import grid_around, swept_region
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library

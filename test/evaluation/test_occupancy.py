@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import json
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,21 +15,27 @@ from mocap_library import mocap_library
 from rich.console import Console
 from small_library import small_library
 
-from humanpred_ros.errors import ArrayError, HumanPredError, LibraryFormatError, UsageError
-from humanpred_ros.evaluation.evaluation_grid import grid_around, swept_region
+from humanpred_ros.errors import ArrayError, HumanPredError, LibraryFormatError
+from humanpred_ros.evaluation import occupancy_runs
+from humanpred_ros.evaluation.framework import print_report
 from humanpred_ros.evaluation.leave_one_out import FoldSettings, LeaveOneOut
-from humanpred_ros.evaluation.occupancy import evaluation as occupancy_evaluation
-from humanpred_ros.evaluation.occupancy import runs as occupancy_runs
-from humanpred_ros.evaluation.occupancy.evaluation import OccupancyEvaluationConfig, evaluate_occupancy
-from humanpred_ros.evaluation.occupancy.result import OccupancyEvaluation
-from humanpred_ros.evaluation.occupancy.runs import LeftOutMotions, MotionOutcome, OccupancySetup, until_end
-from humanpred_ros.evaluation.occupancy.tables import print_occupancy_evaluation
+from humanpred_ros.evaluation.occupancy import (
+    OccupancyEvaluation,
+    OccupancySettings,
+    evaluate_occupancy,
+    report_of,
+    run,
+)
+from humanpred_ros.evaluation.occupancy_runs import LeftOutMotions, OccupancySetup, grid_around, swept_region, until_end
+from humanpred_ros.evaluation.occupancy_scores import MotionOutcome
+from humanpred_ros.evaluation.outputs import plain
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.motion.placement import placed, start_pelvis_m, turn_and_shift
-from humanpred_ros.occupancy.predictor import Prediction, Predictor
+from humanpred_ros.occupancy.predictor import Prediction, Predictor, PredictorRequest
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
 from humanpred_ros.recognition.gmm_classifier import GmmSettings
@@ -58,6 +66,10 @@ class Told(Predictor):
 
     def __init__(self, settings: FoldSettings, predict: Any) -> None:
         self.grid, self._predict, self.shown = settings.grid, predict, []
+
+    @classmethod
+    def from_request(cls, request: PredictorRequest) -> Told:
+        raise NotImplementedError
 
     def start(self) -> None:
         self.shown = []
@@ -146,28 +158,25 @@ def test_somebody_elsewhere_is_shown_elsewhere_and_sweeps_elsewhere(monkeypatch:
     np.testing.assert_array_equal(told.shown[3][0], motion.q[3])
 
 
-@pytest.fixture
-def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Starting processes takes seconds; one test has them, the others do without."""
-
-    def sequential(function: Any, tasks: Any, jobs: int, progress: Any) -> list[Any]:
-        return [function(task) for task in tasks]
-
-    monkeypatch.setattr(occupancy_evaluation, "map_processes", sequential)
+SETTINGS = OccupancySettings(
+    library="", predictor=("current", "constant_velocity", "swept_volume"), components=3, every=3, jobs=1
+)
 
 
-def evaluated(jobs: int = 1, **changes: Any) -> OccupancyEvaluation:
-    config = OccupancyEvaluationConfig(
-        **{"predictors": ("current", "constant_velocity", "swept_volume"), "gmm": GMM, "every": 3} | changes
-    )
-    return evaluate_occupancy(library(), config, jobs=jobs)
+def evaluated(**changes: Any) -> OccupancyEvaluation:
+    return evaluate_occupancy(library(), SETTINGS.replaced(**changes))
+
+
+def printed(evaluation: OccupancyEvaluation) -> str:
+    text = io.StringIO()
+    print_report(report_of(evaluation), Console(file=text, width=200))
+    return text.getvalue()
 
 
 def test_figures_are_the_same_for_any_number_of_processes() -> None:
-    a, b = evaluated(jobs=1).to_json(), evaluated(jobs=2).to_json()
-    for evaluation in (a, b):
-        evaluation["settings"].pop("jobs")
-        for predictor in evaluation["predictors"]:
+    a, b = (plain(evaluated(jobs=jobs, every=6).figures()) for jobs in (1, 2))
+    for figures in (a, b):
+        for predictor in figures["predictors"]:
             timing = predictor.pop("timing")
             assert 0 < timing["median_ms"] <= timing["p99_ms"]
     assert a == b
@@ -202,7 +211,7 @@ def test_every_figure_is_there_and_hangs_together() -> None:
 
 @pytest.mark.usefixtures("in_this_process")
 def test_somebody_elsewhere_breaks_p1_and_not_the_baselines() -> None:
-    here, there = evaluated(), evaluated(shift_m=(0.3, 0.0), turn_rad=np.deg2rad(20.0))
+    here, there = evaluated(), evaluated(shift=(0.3, 0.0, 20.0))
     for k in (0, 1):
         assert float(there.predictors[k].average.brier * there.region_voxels) == pytest.approx(
             float(here.predictors[k].average.brier * here.region_voxels), rel=0.1
@@ -212,40 +221,33 @@ def test_somebody_elsewhere_breaks_p1_and_not_the_baselines() -> None:
 
 @pytest.mark.usefixtures("in_this_process")
 def test_who_never_saw_the_class_stands_beside_who_learned_it() -> None:
-    evaluation = evaluated(predictors=("current", "swept_volume", "reaching"), every=5)
+    evaluation = evaluated(predictor=("current", "swept_volume", "reaching"), every=5)
     assert [result.learned_from_class for result in evaluation.predictors] == ["–", "yes", "no"]
     _, p1, unseen = evaluation.predictors
     ratio = float(unseen.average.brier) / float(p1.average.brier)
-    assert evaluation.unseen_beside_seen == evaluation.to_json()["unseen_beside_seen"] == ratio
-    assert ratio < 1.0, "P2's target: no worse than P1, which was trained with the class"
-    text = io.StringIO()
-    print_occupancy_evaluation(evaluation, Console(file=text, width=200))
-    assert f"its Brier score is {ratio:.2f} times as large (target: no worse, 1.00)" in text.getvalue()
-    assert "learned from no motion of the tested motion's class; it is told the places" in text.getvalue()
-    assert evaluated(predictors=("current",), every=12).unseen_beside_seen is None
+    assert evaluation.unseen_beside_seen == evaluation.figures()["unseen_beside_seen"] == ratio
+    assert ratio < 1.0, "P2 is no worse than P1, which was trained with the class"
+    assert f"Its Brier score is {ratio:.2f} times that of swept_volume" in " ".join(printed(evaluation).split())
+    assert evaluated(predictor=("current",), every=12).unseen_beside_seen is None
 
 
 @pytest.mark.usefixtures("in_this_process")
 def test_who_is_told_places_is_also_judged_without_having_been_told() -> None:
-    evaluation = evaluated(predictors=("current", "reaching"), every=5, percents=(50, 80))
+    evaluation = evaluated(predictor=("current", "reaching"), every=5, percents=(50, 80))
     now, told = evaluation.predictors
-    assert now.untold is None
-    assert now.untold_at_percent is None
-    assert told.untold is not None
-    assert told.untold_at_percent is not None
-    np.testing.assert_array_equal(told.untold_at_percent.n_swept, told.at_percent.n_swept)
-    assert float(told.untold.brier) == pytest.approx(told.untold_at_percent.brier.mean())
+    assert now.unlisted is None
+    assert now.unlisted_at_percent is None
+    assert told.unlisted is not None
+    assert told.unlisted_at_percent is not None
+    np.testing.assert_array_equal(told.unlisted_at_percent.n_swept, told.at_percent.n_swept)
+    assert float(told.unlisted.brier) == pytest.approx(told.unlisted_at_percent.brier.mean())
     # Its place is worth knowing; a reach that goes elsewhere is still better than none.
-    assert float(told.average.brier) < float(told.untold.brier) < float(now.average.brier)
-    assert evaluation.to_json()["predictors"][1]["untold"]["brier"] == float(told.untold.brier)
-    text = io.StringIO()
-    print_occupancy_evaluation(evaluation, Console(file=text, width=200))
-    assert f"{1e3 * float(told.untold.brier):.2f}" in text.getvalue()
-    # Two rows of averages, two along the motion.
-    assert text.getvalue().count("place not told ") == 4
-    text = io.StringIO()
-    print_occupancy_evaluation(evaluated(predictors=("current",), every=12), Console(file=text, width=200))
-    assert "not told" not in text.getvalue()
+    assert float(told.average.brier) < float(told.unlisted.brier) < float(now.average.brier)
+    assert evaluation.figures()["predictors"][1]["unlisted"].brier == told.unlisted.brier
+    text = printed(evaluation)
+    assert f"{1e3 * float(told.unlisted.brier):.2f}" in text
+    assert text.count("place not listed ") == 4  # two rows of averages, two along the motion
+    assert "not listed" not in printed(evaluated(predictor=("current",), every=12))
 
 
 def test_the_place_that_is_not_told_is_the_tested_motions_own(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -261,15 +263,15 @@ def test_the_place_that_is_not_told_is_the_tested_motions_own(monkeypatch: pytes
     (first,), (second,) = runs("10/1"), runs("20/1")
     assert shown == [(0, 10, 20), (0, 20), (0, 10, 20), (0, 10)]
     for outcome in (first, second):
-        assert outcome.untold is not None
-        assert [score.n_swept for score in outcome.untold] == [score.n_swept for score in outcome.scores]
-        assert [score.brier for score in outcome.untold] != [score.brier for score in outcome.scores]
+        assert outcome.unlisted is not None
+        assert [score.n_swept for score in outcome.unlisted] == [score.n_swept for score in outcome.scores]
+        assert [score.brier for score in outcome.unlisted] != [score.brier for score in outcome.scores]
 
 
 @pytest.mark.usefixtures("in_this_process")
 def test_the_human_is_the_one_whose_dofs_the_library_has() -> None:
-    config = OccupancyEvaluationConfig(predictors=("current", "reaching"), every=4, percents=(30, 60))
-    evaluation = evaluate_occupancy(mocap_library(3, 3, 25), config)
+    settings = SETTINGS.replaced(predictor=("current", "reaching"), every=4, percents=(30, 60))
+    evaluation = evaluate_occupancy(mocap_library(3, 3, 25), settings)
     now, unseen = evaluation.predictors
     assert unseen.refused_postures == 0
     assert float(unseen.average.missed) < 0.5 * float(now.average.missed)
@@ -277,10 +279,10 @@ def test_the_human_is_the_one_whose_dofs_the_library_has() -> None:
 
 @pytest.mark.usefixtures("in_this_process")
 def test_two_motions_to_each_of_two_places_are_enough_to_learn_how_people_reach() -> None:
-    config = OccupancyEvaluationConfig(predictors=("current", "reaching"), percents=(30, 60))
-    now, told = evaluate_occupancy(small_library(2, 2, 30, there_and_back=True), config).predictors
+    settings = SETTINGS.replaced(predictor=("current", "reaching"), percents=(30, 60), every=1)
+    now, told = evaluate_occupancy(small_library(2, 2, 30, there_and_back=True), settings).predictors
     assert len(told.motions) == 4
-    assert told.untold is not None
+    assert told.unlisted is not None
     assert float(told.average.brier) < float(now.average.brier)
 
 
@@ -289,20 +291,20 @@ def test_a_motion_that_is_there_twice_is_refused_by_who_learns() -> None:
     first, second, *others = small_library(2, 3, 20).motions
     twice = MotionLibrary("twice", (first, second.with_postures(first.q), *others))
     with pytest.raises(LibraryFormatError, match="every motion once"):
-        evaluate_occupancy(twice, OccupancyEvaluationConfig(predictors=("reaching",)))
+        evaluate_occupancy(twice, SETTINGS.replaced(predictor=("reaching",)))
 
 
 @pytest.mark.usefixtures("in_this_process")
 def test_until_the_apex_there_is_less_to_sweep() -> None:
-    whole, reach = evaluated(predictors=("current",)), evaluated(predictors=("current",), until="apex")
+    whole, reach = evaluated(predictor=("current",)), evaluated(predictor=("current",), until="apex")
     assert float(reach.predictors[0].average.n_swept) < float(whole.predictors[0].average.n_swept)
 
 
 @pytest.mark.usefixtures("in_this_process")
 def test_a_scene_gives_grid_and_placement() -> None:
-    evaluation = evaluated(predictors=("current",), scene="four_places", every=12)
-    assert evaluation.settings["grid"].origin_m == (-2.0, -3.0, -0.4)
-    assert evaluation.settings["T_world_human"][0, 3] == 0.10
+    evaluation = evaluated(predictor=("current",), scene="four_places", every=12)
+    assert evaluation.setup.grid.origin_m == (-2.0, -3.0, -0.4)
+    assert evaluation.setup.T_world_human[0, 3] == 0.10
     assert float(evaluation.predictors[0].average.n_swept) > 1000
 
 
@@ -314,14 +316,14 @@ def test_mistracked_motions_are_tested_and_told_apart() -> None:
         for m in library()
     )
     spoilt = MotionLibrary("spoilt", motions)
-    config = OccupancyEvaluationConfig(predictors=("current", "swept_volume"), gmm=GMM, every=3)
-    with_all = evaluate_occupancy(spoilt, config)
-    cleaned = evaluate_occupancy(spoilt, replace(config, clean_training=True))
+    settings = SETTINGS.replaced(predictor=("current", "swept_volume"))
+    with_all = evaluate_occupancy(spoilt, settings)
+    cleaned = evaluate_occupancy(spoilt, settings.replaced(clean_training=True))
     for evaluation in (with_all, cleaned):
         assert "10/2" in evaluation.tested
         assert evaluation.mistracked == ("10/2",)
         assert evaluation.predictors[0].without_mistracked is not None
-        assert evaluation.settings["picture"] != "10/2"
+        assert evaluation.setup.picture[0] != "10/2"
     assert float(cleaned.predictors[1].average.brier) < float(with_all.predictors[1].average.brier)
     assert float(cleaned.predictors[0].average.brier) == float(with_all.predictors[0].average.brier)
 
@@ -330,32 +332,65 @@ def test_mistracked_motions_are_tested_and_told_apart() -> None:
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"predictors": ("crystal_ball",)}, "crystal_ball"),
-        ({"predictors": ()}, "none"),
-        ({"until": "never"}, "end or apex"),
-        ({"percents": (0,)}, "from 1 to 100"),
+        ({"predictor": ("current", "crystal_ball")}, "crystal_ball"),
+        ({"predictor": ()}, "none"),
+        ({"until": "never"}, "until.*'end' or 'apex'"),
+        ({"percents": (0,)}, "percents.*from 1"),
         ({"every": 0}, "every"),
-        ({"shift_m": (np.nan, 0.0)}, "finite"),
-        ({"shift_m": (30.0, 0.0)}, "outside"),
+        ({"resolution": 0.0}, "resolution"),
+        ({"resolution": 3.0}, "voxels"),
+        ({"shift": (np.nan, 0.0, 0.0)}, "shift.*finite"),
+        ({"shift": (0.3,)}, "shift"),
+        ({"shift": (30.0, 0.0, 0.0)}, "outside"),
         ({"picture": "0/1"}, "tested motions"),
         ({"classifier": "svm"}, "svm"),
         ({"scene": "moon"}, "moon"),
     ],
 )
-def test_impossible_wishes_are_named(changes: dict[str, Any], text: str) -> None:
-    with pytest.raises(UsageError if "scene" not in changes else HumanPredError, match=text):
-        evaluate_occupancy(
-            library(), OccupancyEvaluationConfig(**{"every": 3, "gmm": GMM} | changes)
-        )  # fmt: skip
+def test_impossible_settings_are_refused_by_name(changes: dict[str, Any], text: str) -> None:
+    with pytest.raises(HumanPredError, match=text):
+        evaluated(**changes)
 
 
 @pytest.mark.usefixtures("in_this_process")
 def test_a_class_too_small_is_named_before_any_work() -> None:
     small = small_library(2, 2, 20)
     with pytest.raises(LibraryFormatError, match=r"for swept_volume at least 3 .* --predictor current,reaching$"):
-        evaluate_occupancy(small, OccupancyEvaluationConfig(("current", "swept_volume", "reaching"), gmm=GMM))
+        evaluate_occupancy(small, SETTINGS.replaced(predictor=("current", "swept_volume", "reaching")))
     with pytest.raises(LibraryFormatError, match=r"for reaching at least 2 motions in every class"):
-        evaluate_occupancy(small_library(3, 1, 20), OccupancyEvaluationConfig(("reaching",)))
-    # The baselines learn nothing and do not mind.
-    alone = evaluate_occupancy(small_library(1, 1, 20), OccupancyEvaluationConfig(predictors=("current",)))
-    assert alone.tested == ("0/0",)
+        evaluate_occupancy(small_library(3, 1, 20), SETTINGS.replaced(predictor=("reaching",)))
+    # The baselines learn nothing.
+    assert evaluate_occupancy(small_library(1, 1, 20), SETTINGS.replaced(predictor=("current",))).tested == ("0/0",)
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_everything_printed_is_in_the_json(tmp_path: Path) -> None:
+    bag = write_library_bag(small_library(n_classes=2, n_motions=4, n_frames=20), tmp_path / "lib")
+    json_file, plot_file, text = tmp_path / "figures.json", tmp_path / "figures.png", io.StringIO()
+    settings = SETTINGS.replaced(
+        library=str(bag), predictor=("current", "swept_volume"), every=4, seed=3, shift=(0.3, -0.1, 20.0),
+        json=json_file, plot=plot_file,
+    )  # fmt: skip
+    assert run(settings, Console(file=text, width=120)) == 0
+    found: dict[str, Any] = json.loads(json_file.read_text(encoding="utf-8"))
+    assert [predictor["name"] for predictor in found["predictors"]] == ["current", "swept_volume"]
+    for predictor in found["predictors"]:
+        average = predictor["average"]
+        for shown in (
+            f"{1e3 * average['brier']:.2f}",
+            f"{1e3 * average['log_loss']:.1f}",
+            f"{average['average_precision']:.3f}",
+            f"{100 * average['missed']:.1f} %",
+            f"{predictor['calibration']['error_predicted']:.3f}",
+            *(f"{100 * value:.1f} %" for value in predictor["at_percent"]["missed"]),
+        ):
+            assert shown in text.getvalue()
+        assert len(predictor["calibration"]["count"]) == 11
+        assert "picture" not in predictor
+    assert found["settings"]["seed"] == 3
+    assert found["settings"]["shift"] == [0.3, -0.1, 20.0]
+    assert found["lattice"]["shape"] == [80, 80, 48]
+    assert found["library"]["n_motions"] == 8
+    assert found["tested"] == ["0/0", "10/0"]
+    assert found["percents"] == list(range(10, 100, 10))
+    assert plot_file.read_bytes().startswith(b"\x89PNG")

@@ -1,1 +1,0 @@
-"""How well the space a body is going to sweep is predicted (`humanpred evaluate occupancy`)."""

@@ -1,1 +1,0 @@
-"""Onsets, ends and recognition on long streams (`humanpred evaluate streams`)."""
