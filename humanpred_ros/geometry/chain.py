@@ -1,18 +1,21 @@
-"""A serial arm as plain arrays, because the planning kernels cannot call a rigid-body library.
+"""A serial arm, and points, spheres and boxes fixed to its links, as plain arrays.
 
-Everything here is in radians and metres. A configuration `q` holds one angle per joint, in joint order;
-a link carries the index of the joint it moves with. Pinocchio is the reference (tests agree to 1e-9).
+Everything here is in radians and metres. A configuration `q` holds one angle per joint, in joint order; a link carries
+the index of the joint it moves with. What is computed is computed by `chain_kernels`; pinocchio is the reference (tests
+agree to 1e-9).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
+from humanpred_ros.geometry.joints import Joints
 
 _ROTATION_TOLERANCE = 1e-6
 
@@ -98,22 +101,13 @@ class KinematicChain:
         """Number of joints J."""
         return len(self.joint_names)
 
-    @property
-    def axis_index(self) -> NDArray[np.int64]:
-        """(J,) 0, 1 or 2 for joints about +x, +y or +z.
-
-        Raises:
-            ArrayError: if a joint turns about another axis; kernels handle coordinate axes only.
-        """
-        index: NDArray[np.int64] = np.argmax(self.joint_axis, axis=1).astype(np.int64)
-        skew = np.abs(self.joint_axis - np.eye(3)[index]).max(axis=1) > _ROTATION_TOLERANCE
-        if skew.any():
-            which = int(np.argmax(skew))
-            raise ArrayError(
-                f"chain: wanted {self.joint_names[which]} to turn about +x, +y or +z, got axis "
-                f"{self.joint_axis[which]}; fold the difference into joint_rotation"
-            )
-        return index
+    @cached_property
+    def joints(self) -> Joints:
+        """The joints as kernels want them, with the world for a root."""
+        T = np.tile(np.eye(4), (self.n_joints, 1, 1))
+        T[:, :3, :3], T[:, :3, 3] = self.joint_rotation, self.joint_origin_m
+        T[0] = self.T_world_root @ T[0]
+        return Joints.of(np.arange(self.n_joints), T, self.joint_axis, np.zeros(self.n_joints, dtype=np.bool_))
 
     def link_poses(self, q: ArrayLike) -> FloatArray:
         """Return the world pose of the frame after each joint.
@@ -130,16 +124,12 @@ class KinematicChain:
         q = np.asarray(q, dtype=np.float64)
         if q.ndim == 0 or q.shape[-1] != self.n_joints:
             raise ArrayError(f"configuration: wanted {self.n_joints} angles on the last axis, got shape {q.shape}")
-        poses = np.zeros((*q.shape[:-1], self.n_joints, 4, 4))
-        poses[..., 3, 3] = 1.0
-        rotation = np.broadcast_to(self.T_world_root[:3, :3], (*q.shape[:-1], 3, 3))
-        position = np.broadcast_to(self.T_world_root[:3, 3], (*q.shape[:-1], 3))
-        for j in range(self.n_joints):
-            position = position + rotation @ self.joint_origin_m[j]
-            rotation = rotation @ self.joint_rotation[j] @ axis_rotation(self.joint_axis[j], q[..., j])
-            poses[..., j, :3, :3] = rotation
-            poses[..., j, :3, 3] = position
-        return poses
+        from humanpred_ros.geometry.chain_kernels import link_poses  # numba, which not every node needs
+
+        n = self.n_joints
+        flat = np.ascontiguousarray(q.reshape(-1, n))
+        poses = link_poses(flat, *self.joints, np.arange(1, n + 1), np.tile(np.eye(4), (n, 1, 1)))
+        return poses.reshape(*q.shape[:-1], n, 4, 4)
 
     def tool_pose(self, q: ArrayLike) -> FloatArray:
         """Return the (..., 4, 4) world pose of the tool at configurations `q` (..., J)."""
@@ -237,15 +227,6 @@ def reach_m(chain: KinematicChain, spheres: BodySpheres) -> tuple[FloatArray, fl
     root = chain.T_world_root
     centre: FloatArray = root[:3, :3] @ chain.joint_origin_m[0] + root[:3, 3]
     return centre, float((to_joint[spheres.link] + beyond).max())
-
-
-def axis_rotation(axis: FloatArray, angle: ArrayLike) -> FloatArray:
-    """Return the (..., 3, 3) rotations about the unit vector `axis` (3,) by `angle` (...) rad (Rodrigues)."""
-    angle = np.asarray(angle, dtype=np.float64)[..., None, None]
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    rotation: FloatArray = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
-    return rotation
 
 
 def inverse_pose(T: FloatArray) -> FloatArray:

@@ -30,8 +30,10 @@ F = TypeVar("F", bound=Callable[..., Any])
 _njit: Any = numba.njit
 _settings: Any = numba.config
 
-#: Every file that compiles has this line, and what it compiles uses nothing of other files that have not (tested).
+#: Every file that compiles has the first of these lines; what it compiles uses nothing of other files but of those that
+#: have one of them (tested).
 MARK = f"from {PACKAGE_NAME}.geometry.compiled import"
+MARKS = (MARK, "# Compiled functions use these constants.")
 _IMPORT = re.compile(rf"^from {PACKAGE_NAME}\.?([\w.]*) import (\([^)]*\)|.*)$", re.MULTILINE)
 #: Folders that nobody has used for so long are removed, s.
 _UNUSED_S = 30 * 24 * 3600.0
@@ -179,7 +181,8 @@ def _compiling_imports(source: Path, package: Path) -> set[Path]:
     for module, names in _IMPORT.findall(source.read_text(encoding="utf-8")):
         place = package.joinpath(*module.split("."))
         modules = [place.with_suffix(".py"), *(place / f"{name}.py" for name in re.findall(r"\w+", names))]
-        found |= {file for file in modules if file.is_file() and MARK in file.read_text(encoding="utf-8")}
+        texts = {file: file.read_text(encoding="utf-8") for file in modules if file.is_file()}
+        found |= {file for file, text in texts.items() if any(mark in text for mark in MARKS)}
     return found
 
 

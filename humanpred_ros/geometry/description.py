@@ -16,6 +16,7 @@ from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.capsules import Box, Shape
 from humanpred_ros.geometry.chain import KinematicChain, inverse_pose
 from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.joints import Joints
 
 TURNING, SLIDING = ("revolute", "continuous"), ("prismatic",)
 
@@ -83,24 +84,6 @@ class Mimic(NamedTuple):
     offset: float
 
 
-class Joints(NamedTuple):
-    """The moving joints as `posture_kernels.link_poses` takes them; see there."""
-
-    parent: NDArray[np.int64]
-    placement: FloatArray
-    linear: FloatArray
-    K: FloatArray
-    KK: FloatArray
-
-    @classmethod
-    def of(cls, parent: NDArray[np.int64], placement: FloatArray, turns: FloatArray, slides: FloatArray) -> Joints:
-        """Return joints (J) whose unit axes of turning and of sliding are (J, 3), zero where they do not."""
-        x, y, z = turns.T
-        zero = np.zeros(len(turns))
-        K = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1).copy()
-        return cls(parent, placement, slides, K, K @ K)
-
-
 @dataclass(frozen=True, eq=False)
 class Description:
     """A tree of links, joints and collision solids. Joint number 0 is the root, joint j of the arrays has number j + 1.
@@ -147,9 +130,9 @@ class Description:
 
     @cached_property
     def joints(self) -> Joints:
-        """What the kernel wants of the joints."""
-        turns, slides = (np.isin(self.kind, kinds)[:, None] * self.axis for kinds in (TURNING, SLIDING))
-        return Joints.of(self.parent, self.T_parent_joint, turns, slides)
+        """The joints as kernels want them; a floating or planar one stands still."""
+        axis = np.where(np.isin(self.kind, TURNING + SLIDING)[:, None], self.axis, 0.0)
+        return Joints.of(self.parent, self.T_parent_joint, axis, np.isin(self.kind, SLIDING))
 
     def link_poses(self, values: Mapping[str, float]) -> FloatArray:
         """Return the (L, 4, 4) poses of all links in the root link's frame.
@@ -160,7 +143,7 @@ class Description:
         Raises:
             UsageError: if a joint is unknown.
         """
-        from humanpred_ros.geometry.posture_kernels import link_poses  # numba, which not every reader needs
+        from humanpred_ros.geometry.chain_kernels import link_poses  # numba, which not every reader needs
 
         q = np.zeros((1, len(self.joint_names)))
         for name, value in values.items():

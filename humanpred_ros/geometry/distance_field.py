@@ -58,28 +58,24 @@ class SignedDistanceField:
         Off by at most the lattice's resolution times sqrt(3) / 2; inside a plate thinner than the
         resolution that can hide its sign, so compare with a robot's radius, not with zero.
         """
-        cell = self._lattice_coordinates(points_m)
-        low = np.minimum(np.floor(cell).astype(np.int64), np.array(self.values.shape) - 2)
-        part = cell - low
-        result = np.zeros(cell.shape[:-1])
-        for corner in np.ndindex(2, 2, 2):
-            weight = np.where(np.array(corner) == 1, part, 1.0 - part).prod(axis=-1)
-            node = low + corner
-            result += weight * self.values[node[..., 0], node[..., 1], node[..., 2]]
-        return result
+        points = _points(points_m)
+        from humanpred_ros.geometry.lattice_kernels import values_at  # numba, which not every node needs
+
+        flat = np.ascontiguousarray(points.reshape(-1, 3))
+        return values_at(flat, self.values, self.origin_m, 1.0 / self.resolution_m).reshape(points.shape[:-1])
 
     def nearest(self, points_m: FloatArray) -> FloatArray:
-        """Return the distances stored at the nearest nodes: the lookup that kernels do."""
-        node = np.floor(self._lattice_coordinates(points_m) + 0.5).astype(np.int64)
-        found: FloatArray = self.values[node[..., 0], node[..., 1], node[..., 2]].astype(np.float64)
-        return found
+        """Return the distances (...) stored at the nodes nearest to world points (..., 3)."""
+        cell = (_points(points_m) - self.origin_m) / self.resolution_m
+        node = np.clip(np.floor(cell + 0.5), 0, np.array(self.values.shape) - 1).astype(np.int64)
+        return self.values[node[..., 0], node[..., 1], node[..., 2]].astype(np.float64)
 
-    def _lattice_coordinates(self, points_m: FloatArray) -> FloatArray:
-        points = np.asarray(points_m, dtype=np.float64)
-        if points.ndim == 0 or points.shape[-1] != 3 or not np.isfinite(points).all():
-            raise ArrayError(f"distance field: wanted finite points (..., 3), got shape {points.shape}")
-        cell: FloatArray = np.clip((points - self.origin_m) / self.resolution_m, 0, np.array(self.values.shape) - 1)
-        return cell
+
+def _points(points_m: FloatArray) -> FloatArray:
+    points = np.asarray(points_m, dtype=np.float64)
+    if points.ndim == 0 or points.shape[-1] != 3 or not np.isfinite(points).all():
+        raise ArrayError(f"distance field: wanted finite points (..., 3), got shape {points.shape}")
+    return points
 
 
 def build_distance_field(

@@ -7,7 +7,7 @@ computed (six points of the 23-DoF human: 0.1 microseconds in float32), with the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,25 +15,16 @@ from numpy.typing import ArrayLike, NDArray
 from humanpred_ros.errors import HumanModelError
 from humanpred_ros.geometry import chain_kernels
 from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.joints import FIRST, KIND, LAST
 from humanpred_ros.human.model import HumanModel
-
-
-class _Chain(NamedTuple):
-    """The arguments of `chain_kernels`, in one precision."""
-
-    kind: NDArray[np.int64]
-    sign: NDArray[Any]
-    offset: NDArray[Any]
-    first: NDArray[np.int64]
-    local: NDArray[Any]
 
 
 class ChainPoints:
     """Positions and derivatives of points on a human whose moving joints form one chain; immutable, thread safe.
 
     Args:
-        model: a human whose joints follow one another and turn about, or slide along, a coordinate axis each, without
-            fixed rotations between them (the 12-DoF and the 23-DoF human are such).
+        model: a human whose joints follow one another and turn about, or slide along, a coordinate axis each (the
+            12-DoF and the 23-DoF human are such).
         links: P names, the links the points are fixed to.
         local_m: (P, 3) the points in their links' frames; the links' origins if left out.
 
@@ -59,15 +50,13 @@ class ChainPoints:
         self.links = tuple(links)
         self._dofs = len(model.dof_names)
         self._back = np.argsort(order)  # from the order of the joints to that of `links`
-        self._order = order
         self._in_order = bool((order == np.arange(len(order))).all())
-        kind, sign = _kinds(model)
-        first = np.searchsorted(joint[order], np.arange(self._dofs + 2)).astype(np.int64)
-        offset = np.ascontiguousarray(model.joints.placement[:, :3, 3])
-        self._double, self._single = (
-            _Chain(kind, sign.astype(dtype), offset.astype(dtype), first, local[order].astype(dtype))
-            for dtype in (np.float64, np.float32)
-        )
+        _check_chain(model)
+        self._joint, self._local = joint[order], np.ascontiguousarray(local[order])
+        first = np.searchsorted(self._joint, np.arange(1, self._dofs + 2))
+        table = model.joints.table.astype(np.float32)
+        table[:, FIRST], table[:, LAST] = first[:-1], first[1:]
+        self._single = (table, np.column_stack([self._local, np.zeros(len(local))]).astype(np.float32))
 
     def positions(self, q: ArrayLike) -> NDArray[Any]:
         """Return the points (..., P, 3) of postures (..., D) in the tracker's frame, in the precision of the postures.
@@ -78,8 +67,10 @@ class ChainPoints:
             HumanModelError: wrong shape or values that are not finite.
         """
         postures, shape = self._flat(q)
-        single = postures.dtype == np.float32
-        points = chain_kernels.positions(postures, *(self._single if single else self._double), single)
+        if postures.dtype == np.float32:
+            points = chain_kernels.point_positions_32(postures, *self._single)
+        else:
+            points = chain_kernels.point_positions(postures, *self.model.joints, self._joint, self._local)
         if not self._in_order:
             points = points[:, self._back]
         return np.asarray(points.reshape(*shape, len(self.links), 3))
@@ -87,8 +78,7 @@ class ChainPoints:
     def jacobian(self, q: ArrayLike) -> FloatArray:
         """Return the derivatives (..., P, 3, D) of the points over the DoFs, for postures (..., D), in float64."""
         postures, shape = self._flat(np.asarray(q, dtype=np.float64))
-        points = chain_kernels.positions(postures, *self._double, False)
-        J = chain_kernels.jacobians(postures, *self._double, points)[:, self._back]
+        J = chain_kernels.point_jacobians(postures, *self.model.joints, self._joint, self._local)[:, self._back]
         return np.asarray(J.reshape(*shape, len(self.links), 3, self._dofs))
 
     def _flat(self, q: ArrayLike) -> tuple[NDArray[Any], tuple[int, ...]]:
@@ -103,22 +93,14 @@ class ChainPoints:
         return np.ascontiguousarray(postures.reshape(-1, self._dofs)), postures.shape[:-1]
 
 
-def _kinds(model: HumanModel) -> tuple[NDArray[np.int64], FloatArray]:
-    """Return each joint's kind and sign for `chain_kernels` (HumanModelError for other kinds of joints)."""
-    joints = model.joints
-    angular = np.stack([joints.K[:, 2, 1], joints.K[:, 0, 2], joints.K[:, 1, 0]], axis=1)
-    both = np.concatenate([angular, joints.linear], axis=1)  # turning about x, y, z, sliding along x, y, z
-    kind = np.argmax(np.abs(both), axis=1)
-    sign = np.sign(both[np.arange(len(kind)), kind])
-    plain = np.abs(np.abs(both).sum(axis=1) - 1.0) < 1e-12
-    straight = np.abs(joints.placement[:, :3, :3] - np.eye(3)).max(axis=(1, 2)) < 1e-12
-    serial = joints.parent == np.arange(len(kind))
-    for name, *well in zip(model.dof_names, serial, plain, straight, strict=True):
+def _check_chain(model: HumanModel) -> None:
+    """Refuse joints that do not follow one another along coordinate axes (HumanModelError)."""
+    serial = model.joints.parent == np.arange(len(model.dof_names))
+    straight = model.joints.table[:, KIND] <= 5
+    for name, *well in zip(model.dof_names, serial, straight, strict=True):
         if not all(well):
-            reason = ("does not follow the joint before it", "has an axis beside the coordinate axes",
-                      "has a fixed rotation before it")[well.index(False)]  # fmt: skip
+            reasons = ("does not follow the joint before it", "has an axis beside the coordinate axes")
             raise HumanModelError(
                 f"points on {model.name}: wanted one chain of joints about or along coordinate axes, but {name} "
-                f"{reason}; use HumanModel.link_poses for such a model"
+                f"{reasons[well.index(False)]}; use HumanModel.link_poses for such a model"
             )
-    return kind.astype(np.int64), sign

@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from humanpred_ros.errors import HumanModelError, UsageError
 from humanpred_ros.geometry.checks import FloatArray, checked
-from humanpred_ros.geometry.description import Body, Joints
+from humanpred_ros.geometry.description import Body
+from humanpred_ros.geometry.joints import Joints
 from humanpred_ros.geometry.urdf import parse_description
 from humanpred_ros.resources import share_file
 
@@ -148,7 +149,7 @@ class HumanModel:
             HumanModelError: wrong shape or values that are not finite.
         """
         postures = self._checked(q)
-        from humanpred_ros.geometry.posture_kernels import link_poses  # numba, which not every node needs
+        from humanpred_ros.geometry.chain_kernels import link_poses  # numba, which not every node needs
 
         poses = link_poses(postures, *self.joints, self.link_joint, self.T_joint_link)
         return poses[0] if np.ndim(q) == 1 else poses

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from humanpred_ros.errors import ArrayError
-from humanpred_ros.geometry import posture_kernels
+from humanpred_ros.geometry import chain_kernels
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
@@ -135,7 +135,7 @@ class SampledFutures(FutureVoxels):
 
     def _sweep(self, postures: FloatArray) -> None:
         S, N, D = postures.shape
-        poses = posture_kernels.link_poses(
+        poses = chain_kernels.link_poses(
             np.ascontiguousarray(postures.reshape(S * N, D)), *self.human.joints, self._part_joint, self._T_joint_part
         )
         kernels.sweep(

@@ -177,7 +177,7 @@ class MotionChecker:
     def _search(self, pieces: FloatArray, padding_m: float, find_least: bool) -> tuple[int, float, int, float, float]:
         flat, field = self._flat, self.field
         result: tuple[int, float, int, float, float] = motion_kernels.search(
-            pieces, flat.root, flat.joints, flat.spheres, flat.first, flat.lever,
+            pieces, *self.chain.joints, flat.spheres, flat.first, flat.lever,
             field.values, field.origin_m, 1.0 / field.resolution_m, padding_m, self.resolution_m, find_least,
         )  # fmt: skip
         return result
@@ -215,10 +215,8 @@ class MotionChecker:
 
 @dataclass(frozen=True, eq=False)
 class _Flat:
-    """What the kernels want of arm and spheres; spheres in the order of their joints."""
+    """What the kernels want of the spheres, in the order of their joints."""
 
-    root: FloatArray
-    joints: FloatArray
     spheres: FloatArray
     first: NDArray[np.int64]
     lever: FloatArray
@@ -228,10 +226,6 @@ def _flatten(chain: KinematicChain, spheres: BodySpheres) -> _Flat:
     order = np.argsort(spheres.link, kind="stable")
     n = chain.n_joints
     return _Flat(
-        root=np.ascontiguousarray(chain.T_world_root[:3]),
-        joints=np.ascontiguousarray(
-            np.concatenate([chain.joint_origin_m, chain.joint_rotation.reshape(n, 9), chain.joint_axis], axis=1)
-        ),
         spheres=np.column_stack([spheres.centre_m, spheres.radius_m])[order],
         first=np.searchsorted(spheres.link[order], np.arange(n + 1)).astype(np.int64),
         lever=lever_arms_m(chain, spheres)[:, order],

@@ -15,93 +15,45 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from humanpred_ros.geometry.chain_kernels import joint_frames
 from humanpred_ros.geometry.compiled import exact, exact_part
+from humanpred_ros.geometry.lattice_kernels import value_at
 
 #: A piece is never halved more often: 2^-40 of a second moves nothing.
 _DEEPEST = 40
 
 
 @exact_part
-def _distance(x: float, y: float, z: float, values: NDArray[Any], origin: NDArray[Any], cells_per_m: float) -> float:
-    """Return the trilinear interpolation at a world point; points outside the lattice go to its border."""
-    nx, ny, nz = values.shape
-    x = min(max((x - origin[0]) * cells_per_m, 0.0), nx - 1.0)
-    y = min(max((y - origin[1]) * cells_per_m, 0.0), ny - 1.0)
-    z = min(max((z - origin[2]) * cells_per_m, 0.0), nz - 1.0)
-    i, j, k = min(int(x), nx - 2), min(int(y), ny - 2), min(int(z), nz - 2)
-    u, v, w = x - i, y - j, z - k
-    near = (values[i, j, k] * (1.0 - w) + values[i, j, k + 1] * w) * (1.0 - v) + (
-        values[i, j + 1, k] * (1.0 - w) + values[i, j + 1, k + 1] * w
-    ) * v
-    far = (values[i + 1, j, k] * (1.0 - w) + values[i + 1, j, k + 1] * w) * (1.0 - v) + (
-        values[i + 1, j + 1, k] * (1.0 - w) + values[i + 1, j + 1, k + 1] * w
-    ) * v
-    value: float = near * (1.0 - u) + far * u
-    return value
-
-
-@exact_part
 def clearances(
     q: NDArray[Any],
-    root: NDArray[Any],
-    joints: NDArray[Any],
+    parent: NDArray[Any],
+    table: NDArray[Any],
     spheres: NDArray[Any],
     first: NDArray[Any],
     values: NDArray[Any],
     origin: NDArray[Any],
     cells_per_m: float,
+    frames: NDArray[Any],
     out: NDArray[Any],
-    centres: NDArray[Any],
 ) -> None:
-    """Write each sphere's distance to obstacles less its radius (S,), and its centre (S, 3), at q (D,).
+    """Write each sphere's distance to obstacles less its radius (S,) at q (D,).
 
     Args:
-        root: (3, 4) pose of the root.
-        joints: (D, 15) origin, fixed rotation (row by row) and unit axis of each joint.
+        parent, table: of the arm's joints, as in `Joints`.
         spheres: (S, 4) centre in the joint's frame and radius, in the order of joints.
         first: (D + 1,) where each joint's spheres begin.
         values, origin, cells_per_m: the distance field.
+        frames: (D + 1, 3, 4) room to work in.
     """
-    r00, r01, r02, px = root[0, 0], root[0, 1], root[0, 2], root[0, 3]
-    r10, r11, r12, py = root[1, 0], root[1, 1], root[1, 2], root[1, 3]
-    r20, r21, r22, pz = root[2, 0], root[2, 1], root[2, 2], root[2, 3]
-    f = np.empty((3, 3))
-    for j in range(len(joints)):
-        row = joints[j]
-        px += r00 * row[0] + r01 * row[1] + r02 * row[2]
-        py += r10 * row[0] + r11 * row[1] + r12 * row[2]
-        pz += r20 * row[0] + r21 * row[1] + r22 * row[2]
-        ax, ay, az = row[12], row[13], row[14]
-        c, s = np.cos(q[j]), np.sin(q[j])
-        d = 1.0 - c
-        # Fixed rotation times the rotation about the axis (Rodrigues).
-        t00, t01, t02 = c + ax * ax * d, ax * ay * d - az * s, ax * az * d + ay * s
-        t10, t11, t12 = ax * ay * d + az * s, c + ay * ay * d, ay * az * d - ax * s
-        t20, t21, t22 = ax * az * d - ay * s, ay * az * d + ax * s, c + az * az * d
-        for i in range(3):
-            a, b, e = row[3 + 3 * i], row[4 + 3 * i], row[5 + 3 * i]
-            f[i, 0] = a * t00 + b * t10 + e * t20
-            f[i, 1] = a * t01 + b * t11 + e * t21
-            f[i, 2] = a * t02 + b * t12 + e * t22
-        a, b, e = r00, r01, r02
-        r00 = a * f[0, 0] + b * f[1, 0] + e * f[2, 0]
-        r01 = a * f[0, 1] + b * f[1, 1] + e * f[2, 1]
-        r02 = a * f[0, 2] + b * f[1, 2] + e * f[2, 2]
-        a, b, e = r10, r11, r12
-        r10 = a * f[0, 0] + b * f[1, 0] + e * f[2, 0]
-        r11 = a * f[0, 1] + b * f[1, 1] + e * f[2, 1]
-        r12 = a * f[0, 2] + b * f[1, 2] + e * f[2, 2]
-        a, b, e = r20, r21, r22
-        r20 = a * f[0, 0] + b * f[1, 0] + e * f[2, 0]
-        r21 = a * f[0, 1] + b * f[1, 1] + e * f[2, 1]
-        r22 = a * f[0, 2] + b * f[1, 2] + e * f[2, 2]
+    joint_frames(q, parent, table, frames)
+    for j in range(len(table)):
+        A = frames[j + 1]
         for k in range(first[j], first[j + 1]):
             x, y, z = spheres[k, 0], spheres[k, 1], spheres[k, 2]
-            centres[k, 0] = r00 * x + r01 * y + r02 * z + px
-            centres[k, 1] = r10 * x + r11 * y + r12 * z + py
-            centres[k, 2] = r20 * x + r21 * y + r22 * z + pz
-            found = _distance(centres[k, 0], centres[k, 1], centres[k, 2], values, origin, cells_per_m)
-            out[k] = found - spheres[k, 3]
+            u = A[0, 0] * x + A[0, 1] * y + A[0, 2] * z + A[0, 3]
+            v = A[1, 0] * x + A[1, 1] * y + A[1, 2] * z + A[1, 3]
+            w = A[2, 0] * x + A[2, 1] * y + A[2, 2] * z + A[2, 3]
+            out[k] = value_at(u, v, w, values, origin, cells_per_m) - spheres[k, 3]
 
 
 @exact_part
@@ -137,8 +89,8 @@ def halve(piece: NDArray[Any], early: NDArray[Any], late: NDArray[Any]) -> None:
 @exact
 def search(
     pieces: NDArray[Any],
-    root: NDArray[Any],
-    joints: NDArray[Any],
+    parent: NDArray[Any],
+    table: NDArray[Any],
     spheres: NDArray[Any],
     first: NDArray[Any],
     lever: NDArray[Any],
@@ -166,15 +118,15 @@ def search(
     stack = np.empty((_DEEPEST + 2, 6, n_joints))
     ends = np.empty((_DEEPEST + 2, n))
     until, depth = np.empty(_DEEPEST + 2), np.empty(_DEEPEST + 2, dtype=np.int64)
-    left, way, centres = np.empty(n), np.empty(n), np.empty((n, 3))
+    left, way, frames = np.empty(n), np.empty(n), np.empty((n_joints + 1, 3, 4))
     found, at, which, least, floor = -1, 0.0, -1, padding, np.inf
-    clearances(pieces[0, 0], root, joints, spheres, first, values, origin, cells_per_m, left, centres)
+    clearances(pieces[0, 0], parent, table, spheres, first, values, origin, cells_per_m, frames, left)
     if find_least:
         # Knots first: a low clearance found early spares halving elsewhere.
         for p in range(n_pieces + 1):
             if p > 0:
                 here = pieces[p - 1, 5]
-                clearances(here, root, joints, spheres, first, values, origin, cells_per_m, way, centres)
+                clearances(here, parent, table, spheres, first, values, origin, cells_per_m, frames, way)
             else:
                 for k in range(n):
                     way[k] = left[k]
@@ -185,7 +137,7 @@ def search(
         for i in range(6):
             for j in range(n_joints):
                 stack[0, i, j] = pieces[p, i, j]
-        clearances(pieces[p, 5], root, joints, spheres, first, values, origin, cells_per_m, ends[0], centres)
+        clearances(pieces[p, 5], parent, table, spheres, first, values, origin, cells_per_m, frames, ends[0])
         until[0], depth[0], began, top = 1.0, 0, 0.0, 0
         while top >= 0:
             piece, right = stack[top], ends[top]
@@ -212,7 +164,7 @@ def search(
             middle = 0.5 * (began + until[top])
             halve(piece, stack[top + 1], piece)
             here = stack[top + 1, 5]
-            clearances(here, root, joints, spheres, first, values, origin, cells_per_m, ends[top + 1], centres)
+            clearances(here, parent, table, spheres, first, values, origin, cells_per_m, frames, ends[top + 1])
             depth[top] += 1
             depth[top + 1], until[top + 1] = depth[top], middle
             top += 1

@@ -10,7 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from humanpred_ros.geometry.chain_kernels import BLOCK, X, Y, Z
 from humanpred_ros.geometry.compiled import fast, fast_part
+from humanpred_ros.geometry.lattice_kernels import all_above, nearest_nodes
+from humanpred_ros.stomp.cost_kernels import COST, ROWS, add_obstacles, mark_ends
 
 # P2's rules over offsets -2..+3 (facts section 4); see `stencils.RULES`.
 _V = tuple(np.float32(c / 6.0) for c in (-2.0, -3.0, 6.0, -1.0))
@@ -85,18 +88,13 @@ def body_costs(
     place = np.empty((n_points, 3, n_waypoints), dtype=np.float32)
     track = np.empty((1, n_waypoints, 3), dtype=np.float32)
     by_axis = np.empty((1, n_waypoints, 3), dtype=np.float32)
-    w = np.empty((8, n_waypoints), dtype=np.float32)
-    cell = np.empty(n_waypoints, dtype=np.uint32)
     for first in range(0, len(points), n_waypoints):
+        moved, close = out[0, first : first + n_waypoints], out[1, first : first + n_waypoints]
         for t in range(n_waypoints):
+            moved[t] = _0
             for p in range(n_points):
                 for a in range(3):
                     place[p, a, t] = points[first + t, p, a]
-        moved, close, near = (
-            out[0, first : first + n_waypoints],
-            out[1, first : first + n_waypoints],
-            out[2, first : first + n_waypoints],
-        )
         if wrist_point >= 0:
             for t in range(n_waypoints):
                 for a in range(3):
@@ -104,11 +102,8 @@ def body_costs(
             difference_costs(track, before, wrist_weights, by_axis)
             for t in range(n_waypoints):
                 moved[t] = by_axis[0, t, 0] + by_axis[0, t, 1] + by_axis[0, t, 2]
-        else:
-            for t in range(n_waypoints):
-                moved[t] = _0
         _closeness(place, partner, close)
-        _obstacles(place, obstacle, w, cell, near)
+    _obstacles(points, n_waypoints, obstacle, out[2])
 
 
 @fast_part
@@ -144,118 +139,48 @@ def _add_closeness(
 
 
 @fast_part
-def _obstacles(place: NDArray[Any], obstacle: Any, w: NDArray[Any], cell: NDArray[Any], out: NDArray[Any]) -> None:
+def _obstacles(points: NDArray[Any], n_waypoints: int, obstacle: Any, out: NDArray[Any]) -> None:
+    """Write what nearness to obstacles costs at each posture (M,), in blocks as `stomp.cost_kernels` does."""
     capsules, spheres, lattice, origin, resolution, clearance, weight = obstacle
-    nx, ny, nz = lattice.shape
-    flat = lattice.reshape(-1)
-    per_cell = _1 / resolution
-    n = len(out)
-    for t in range(n):
-        out[t] = _0
+    (nx, ny, nz), flat = lattice.shape, lattice.reshape(-1)
+    n_points, per_cell, last = points.shape[1], _1 / resolution, len(points) - 1
     # Nearest node instead of the place itself, and interpolation: each is off by at most 0.87 cells.
     slack = clearance + np.float32(1.75) * resolution
-    for k in range(len(capsules)):
-        a, b = capsules[k, 0], capsules[k, 1]
-        begin, end = capsules[k, 2], capsules[k, 3]
-        _along(place[a], place[b], _HALF, origin, per_cell, w)
-        _nearest(w, cell, nx, ny, nz)
-        # The bone may bend no more than it is long: half of it lies on each side of its middle.
-        half = _0
-        for t in range(n):
-            x, y, z = place[a, 0, t] - place[b, 0, t], place[a, 1, t] - place[b, 1, t], place[a, 2, t] - place[b, 2, t]
-            half = max(half, x * x + y * y + z * z)
-        if _all_beyond(cell, flat, _HALF * np.sqrt(half) + spheres[begin, 1] + slack):
-            continue
-        for s in range(begin, end):
-            _along(place[a], place[b], spheres[s, 0], origin, per_cell, w)
-            _nearest(w, cell, nx, ny, nz)
-            if _all_beyond(cell, flat, spheres[s, 1] + slack):
+    place = np.empty((n_points, 3, BLOCK), dtype=np.float32)
+    w, cell = np.zeros(ROWS * BLOCK, dtype=np.float32), np.zeros(BLOCK, dtype=np.uint32)
+    for first in range(0, len(points), BLOCK - 2):
+        mark_ends(w, first - 1, n_waypoints)
+        for i in range(BLOCK):
+            w[COST + i] = _0
+            for p in range(n_points):
+                for a in range(3):
+                    place[p, a, i] = points[min(max(first - 1 + i, 0), last), p, a]
+        for k in range(len(capsules)):
+            a, b, begin, end = capsules[k, 0], capsules[k, 1], capsules[k, 2], capsules[k, 3]
+            _along(place[a], place[b], _HALF, origin, per_cell, w)
+            nearest_nodes(w, cell, nx, ny, nz)
+            # Half of the bone lies on each side of its middle.
+            longest = _0
+            for i in range(BLOCK):
+                x, y = place[a, 0, i] - place[b, 0, i], place[a, 1, i] - place[b, 1, i]
+                z = place[a, 2, i] - place[b, 2, i]
+                longest = max(longest, x * x + y * y + z * z)
+            if all_above(cell, flat, _HALF * np.sqrt(longest) + spheres[begin, 1] + slack):
                 continue
-            _corners(w, cell, nx, ny, nz)
-            _interpolate(w, cell, flat, ny, nz)
-            _add_potential(w, spheres[s, 1], clearance, weight * resolution, out)
+            for s in range(begin, end):
+                _along(place[a], place[b], spheres[s, 0], origin, per_cell, w)
+                add_obstacles(w, cell, spheres[s, 1], slack, clearance, weight * resolution, flat, nx, ny, nz)
+        for i in range(min(BLOCK - 2, len(points) - first)):
+            out[first + i] = w[COST + 1 + i]
 
 
 @fast_part
 def _along(a: NDArray[Any], b: NDArray[Any], share: Any, origin: NDArray[Any], per_cell: Any, w: NDArray[Any]) -> None:
-    """Write places between a and b (3, N) in cells of the lattice to rows 0 to 2."""
-    for axis in range(3):
-        u, v, row, low = a[axis], b[axis], w[axis], origin[axis]
-        for t in range(len(row)):
-            row[t] = (u[t] + share * (v[t] - u[t]) - low) * per_cell
-
-
-@fast_part
-def _nearest(w: NDArray[Any], cell: NDArray[Any], nx: int, ny: int, nz: int) -> None:
-    x, y, z = w[0], w[1], w[2]
-    mx, my, mz = np.float32(nx - 1), np.float32(ny - 1), np.float32(nz - 1)
-    row, layer = np.int32(nz), np.int32(ny * nz)
-    for t in range(len(cell)):
-        i = np.int32(min(max(x[t] + _HALF, _0), mx))
-        j = np.int32(min(max(y[t] + _HALF, _0), my))
-        k = np.int32(min(max(z[t] + _HALF, _0), mz))
-        cell[t] = np.uint32(np.int32(np.int32(i * layer) + np.int32(j * row)) + k)
-
-
-@fast_part
-def _all_beyond(cell: NDArray[Any], lattice: NDArray[Any], reach: Any) -> bool:
-    near = _0
-    for t in range(len(cell)):
-        near += _0 if lattice[cell[t]] > reach else _1
-    return bool(near == _0)
-
-
-@fast_part
-def _corners(w: NDArray[Any], cell: NDArray[Any], nx: int, ny: int, nz: int) -> None:
-    """Write the lowest of the eight nodes around each place, and to rows 3 to 5 the parts of a cell beyond it."""
-    mx, my, mz = np.float32(nx - 1), np.float32(ny - 1), np.float32(nz - 1)
-    row, layer = np.int32(nz), np.int32(ny * nz)
-    lx, ly, lz = np.int32(nx - 2), np.int32(ny - 2), np.int32(nz - 2)
-    x, y, z, u, v, s = w[0], w[1], w[2], w[3], w[4], w[5]
-    for t in range(len(cell)):
-        px, py, pz = min(max(x[t], _0), mx), min(max(y[t], _0), my), min(max(z[t], _0), mz)
-        i, j, k = min(np.int32(px), lx), min(np.int32(py), ly), min(np.int32(pz), lz)
-        u[t] = px - np.float32(i)
-        v[t] = py - np.float32(j)
-        s[t] = pz - np.float32(k)
-        cell[t] = np.uint32(np.int32(np.int32(i * layer) + np.int32(j * row)) + k)
-
-
-@fast_part
-def _interpolate(w: NDArray[Any], cell: NDArray[Any], lattice: NDArray[Any], ny: int, nz: int) -> None:
-    """Write distances to row 6."""
-    row, layer, one = np.uint32(nz), np.uint32(ny * nz), np.uint32(1)
-    u, v, s, distance = w[3], w[4], w[5], w[6]
-    for t in range(len(cell)):
-        c = cell[t]
-        low, high = lattice[c], lattice[c + one]
-        a = low + s[t] * (high - low)
-        low, high = lattice[c + row], lattice[c + row + one]
-        a += v[t] * (low + s[t] * (high - low) - a)
-        low, high = lattice[c + layer], lattice[c + layer + one]
-        b = low + s[t] * (high - low)
-        low, high = lattice[c + layer + row], lattice[c + layer + row + one]
-        b += v[t] * (low + s[t] * (high - low) - b)
-        distance[t] = a + u[t] * (b - a)
-
-
-@fast_part
-def _add_potential(w: NDArray[Any], radius: Any, clearance: Any, weight: Any, out: NDArray[Any]) -> None:
-    """Add potential times the way between the neighbouring waypoints, halved; row 7 holds the way, in cells."""
-    x, y, z, distance, way = w[0], w[1], w[2], w[6], w[7]
-    n = len(out)
-    for t in range(1, n - 1):
-        a, b, c = x[t + 1] - x[t - 1], y[t + 1] - y[t - 1], z[t + 1] - z[t - 1]
-        way[t] = _HALF * np.sqrt(a * a + b * b + c * c)
-    for t, before, after in ((0, 0, 1), (n - 1, n - 2, n - 1)):
-        a, b, c = x[after] - x[before], y[after] - y[before], z[after] - z[before]
-        way[t] = _HALF * np.sqrt(a * a + b * b + c * c)
-    inverse, half = _HALF / clearance, _HALF * clearance
-    for t in range(n):
-        d = distance[t] - radius
-        near = min(d - clearance, _0)
-        potential = half - d if d < _0 else near * near * inverse
-        out[t] += weight * potential * way[t]
+    """Write places between a and b (3, BLOCK), in cells of the lattice, to rows X, Y and Z."""
+    for i in range(BLOCK):
+        w[X + i] = (a[0, i] + share * (b[0, i] - a[0, i]) - origin[0]) * per_cell
+        w[Y + i] = (a[1, i] + share * (b[1, i] - a[1, i]) - origin[1]) * per_cell
+        w[Z + i] = (a[2, i] + share * (b[2, i] - a[2, i]) - origin[2]) * per_cell
 
 
 @fast

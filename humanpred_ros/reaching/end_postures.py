@@ -103,7 +103,7 @@ class EndPostures:
         object.__setattr__(self, "seen", frozen(seen))
         object.__setattr__(self, "outcome", frozen(outcome))
         missing = {HAND, BODY, TRUNK_END} - set(self.human.link_names)
-        moves = self.human.joints.linear[:3]
+        moves = self.human.joints.axis[:3] * self.human.joints.slides[:3, None]
         if missing or not np.array_equal(moves, np.eye(3)):
             raise HumanModelError(
                 f"end postures of {self.human.name}: wanted links {HAND}, {BODY} and {TRUNK_END}, and first DoFs "
@@ -251,7 +251,7 @@ class EndPostures:
         S = left_out.T @ left_out / n
         share = D / (D + n)
         drawn: FloatArray = (1.0 - share) * S + np.diag(share * np.diag(S))
-        slides = np.abs(self.human.joints.linear).sum(axis=1) > 0.0
+        slides = self.human.joints.slides
         least = np.where(slides, _LEAST_M, _LEAST_RAD) ** 2
         drawn += np.diag(np.maximum(least - np.diag(drawn), 0.0))
         return drawn
@@ -269,7 +269,7 @@ def start_and_end(q: FloatArray, human: HumanModel) -> tuple[FloatArray, FloatAr
 
 def continuous(q: FloatArray, human: HumanModel) -> FloatArray:
     """Return postures (T, D) whose angles follow from the first on without whole turns."""
-    turns = np.abs(human.joints.linear).sum(axis=1) == 0.0
+    turns = ~human.joints.slides
     out = q.copy()
     out[:, turns] = np.unwrap(q[:, turns], axis=0)
     return out
@@ -285,7 +285,7 @@ def _limits(human: HumanModel, start: FloatArray) -> tuple[FloatArray, FloatArra
 
     An angle that may be anything has none, and a tracker may count any angle from 0 to a whole turn.
     """
-    turns = np.abs(human.joints.linear).sum(axis=1) == 0.0
+    turns = ~human.joints.slides
     free = turns & (human.upper - human.lower > 2.0 * np.pi - 1e-3)
     shift = np.where(
         turns & ~free, 2.0 * np.pi * np.round((start - 0.5 * (human.lower + human.upper)) / (2 * np.pi)), 0
@@ -295,7 +295,7 @@ def _limits(human: HumanModel, start: FloatArray) -> tuple[FloatArray, FloatArra
 
 def _near(human: HumanModel, q: FloatArray, reference: FloatArray) -> FloatArray:
     """Return the posture (D,) with each angle within half a turn of a reference (D,)."""
-    turns = np.abs(human.joints.linear).sum(axis=1) == 0.0
+    turns = ~human.joints.slides
     near: FloatArray = q - np.where(turns, 2.0 * np.pi * np.round((q - reference) / (2.0 * np.pi)), 0.0)
     return near
 

@@ -60,8 +60,7 @@ class ShortShoulder:
                 f"first guess for {model.name}: wanted a joint of three DoFs one after the other, got "
                 f"{joint or known}; it has {', '.join(model.dof_names)}"
             )
-        K = model.joints.K[columns]
-        axes = np.stack([K[:, 2, 1], K[:, 0, 2], K[:, 1, 0]], axis=1)
+        axes = model.joints.axis[columns]
         number = np.abs(axes).argmax(axis=1)
         self._columns = np.array(columns)
         self._sign: FloatArray = np.sign(axes[np.arange(3), number])

@@ -89,7 +89,7 @@ class PostureBounds:
         for recording in recordings:
             model.check_dofs(recording.active.dof_names)
         q = np.concatenate([recording.active.q for recording in recordings])
-        slides = np.abs(model.joints.linear).sum(axis=1) > 0.0
+        slides = model.joints.slides
         free = ~(slides | np.array([name.startswith("PelvisRot") for name in model.dof_names]))
         margin = np.where(free, np.pi, np.where(slides, settings.translation_m, settings.pelvis_rad))
         beyond = _farthest_beyond(recordings) + margin if settings.relative else None

@@ -27,7 +27,7 @@ class ReachProgress:
     def __init__(self, human: HumanModel) -> None:
         self.human = human
         self._hand = human.link_names.index(HAND)
-        self._angles = np.abs(human.joints.linear).sum(axis=1) == 0.0
+        self._angles = ~human.joints.slides
         self.start()
 
     def start(self) -> None:

@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from humanpred_ros.geometry.chain import BodyBoxes, BodySpheres, KinematicChain
+from humanpred_ros.geometry.chain_kernels import link_poses
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.compiled import exact
-from humanpred_ros.geometry.description import Joints
-from humanpred_ros.geometry.posture_kernels import link_poses
 from humanpred_ros.geometry.shapes import Obstacle
 from humanpred_ros.robot.clearance import Approach, nearest_approaches
 from humanpred_ros.robot.pr2 import Pr2Arm
@@ -48,11 +47,7 @@ class SelfCollision:
     ) -> None:
         self._link_names = link_names
         n = chain.n_joints
-        placement = np.tile(np.eye(4), (n, 1, 1))
-        placement[:, :3, :3], placement[:, :3, 3] = chain.joint_rotation, chain.joint_origin_m
-        # Poses in the root's frame are enough: only bodies of this arm are compared.
-        joints = Joints.of(np.arange(n), placement, chain.joint_axis, np.zeros((n, 3)))
-        self._chain = (*joints, np.arange(1, n + 1), np.tile(np.eye(4), (n, 1, 1)))
+        self._chain = (*chain.joints, np.arange(1, n + 1), np.tile(np.eye(4), (n, 1, 1)))
         # Copies, because numba compiles once more for arrays that are read-only.
         self._boxes = (
             boxes.link.copy(),

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from humanpred_ros.errors import SceneError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
-from humanpred_ros.geometry.rotation_vectors import rotation_matrix, rotation_vector
 from humanpred_ros.robot.pr2 import Pr2Arm
 from humanpred_ros.settings import Settings, setting
 
@@ -87,10 +87,12 @@ class ToolPose:
         twist = np.zeros((len(flat), 3))
         # With the quaternion's real part w and its part x along a: 4 w x over 2 (w^2 - x^2), the tangent of the twist.
         twist[:, a] = np.arctan2(turned[:, c, b] - turned[:, b, c], turned[:, b, b] + turned[:, c, c])
-        tilt = rotation_vector(turned @ rotation_matrix(-twist))
+        tilt = Rotation.from_matrix(turned @ Rotation.from_rotvec(-twist).as_matrix()).as_rotvec()
         limit = self.orientation_tolerance_rad
         tilt, twist = np.clip(tilt, -limit, limit), np.clip(twist, -limit, limit)
-        result[:, :3, :3] = wanted[:3, :3] @ rotation_matrix(tilt) @ rotation_matrix(twist)
+        result[:, :3, :3] = (
+            wanted[:3, :3] @ Rotation.from_rotvec(tilt).as_matrix() @ Rotation.from_rotvec(twist).as_matrix()
+        )
         nearest: FloatArray = result.reshape(T.shape)
         return nearest
 
@@ -103,7 +105,8 @@ class ToolPose:
         T = np.asarray(T_world_tool, dtype=np.float64)
         nearest = self.nearest(T)
         back = np.swapaxes(T[..., :3, :3], -1, -2)
-        turn = rotation_vector(nearest[..., :3, :3] @ back)
+        turn = Rotation.from_matrix((nearest[..., :3, :3] @ back).reshape(-1, 3, 3)).as_rotvec()
+        turn = turn.reshape(*T.shape[:-2], 3)
         missing: FloatArray = np.concatenate([nearest[..., :3, 3] - T[..., :3, 3], turn], axis=-1)
         return missing
 

@@ -11,9 +11,9 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from humanpred_ros.errors import ArrayError, GoalUnreachableError, SceneError
-from humanpred_ros.geometry.chain import axis_rotation
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.geometry.distance_field import DEFAULT_RESOLUTION_M, SignedDistanceField, build_distance_field
 from humanpred_ros.geometry.lattice import VoxelGrid
@@ -228,8 +228,7 @@ def _goal(section: GoalSection, arm: Pr2Arm, start: FloatArray, obstacles: Seque
         return Goal(section.name, section.angle("configuration"), section.task_cost)
     T_world_tool = np.eye(4)
     # Roll, pitch and yaw about the world's x, y and z, one after the other, as in a URDF.
-    for axis, angle in zip(np.eye(3), tool.angle("orientation"), strict=True):
-        T_world_tool[:3, :3] = axis_rotation(axis, angle) @ T_world_tool[:3, :3]
+    T_world_tool[:3, :3] = Rotation.from_euler("xyz", tool.angle("orientation")).as_matrix()
     T_world_tool[:3, 3] = tool.position_m
     return tool_goal(
         arm,

@@ -22,10 +22,10 @@ from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.chain import BodyPoints, BodySpheres, KinematicChain
 from humanpred_ros.geometry.checks import checked
 from humanpred_ros.geometry.distance_field import SignedDistanceField
+from humanpred_ros.geometry.joints import flatten
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.stomp import cost_kernels
 from humanpred_ros.stomp.config import StompConfig
-from humanpred_ros.stomp.flat_chain import flatten
 from humanpred_ros.stomp.smoothness import acceleration_costs
 
 Float32Array = NDArray[np.float32]

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from humanpred_ros.errors import ArrayError
-from humanpred_ros.geometry.chain import BodyPoints, BodySpheres, KinematicChain, axis_rotation
+from humanpred_ros.geometry.chain import BodyPoints, BodySpheres, KinematicChain
 
 pytestmark = pytest.mark.core
 
@@ -51,19 +52,10 @@ def test_batch_of_configurations_gives_the_same_as_one_by_one(rng: np.random.Gen
 
 
 def test_fixed_rotation_acts_before_the_joint(rng: np.random.Generator) -> None:
-    quarter = axis_rotation(np.array([1.0, 0.0, 0.0]), np.pi / 2)
+    quarter = Rotation.from_euler("x", np.pi / 2).as_matrix()
     chain = planar_arm(joint_rotation=[np.eye(3), quarter])
     # The second joint's z axis points along -y of the first link, so turning it lifts the tool out of the plane.
     np.testing.assert_allclose(chain.tool_pose([0.0, np.pi / 2])[:3, 3], [1.0, 0.0, 0.5], atol=1e-12)
-
-
-@given(st.integers(0, 2), ANGLE)
-def test_axis_rotation_is_a_rotation_that_keeps_its_axis(axis: int, angle: float) -> None:
-    direction = np.eye(3)[axis]
-    rotation = axis_rotation(direction, angle)
-    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
-    np.testing.assert_allclose(rotation @ direction, direction, atol=1e-15)
-    assert np.trace(rotation) == pytest.approx(1.0 + 2.0 * np.cos(angle))
 
 
 def test_points_and_spheres_move_with_their_link() -> None:
@@ -75,12 +67,6 @@ def test_points_and_spheres_move_with_their_link() -> None:
     spheres = BodySpheres(points.link, points.local_m, [0.1, 0.2])
     np.testing.assert_array_equal(spheres.world_m(chain, [0.3, 0.4]), points.world_m(chain, [0.3, 0.4]))
     assert len(points) == len(spheres) == 2
-
-
-def test_axis_index_names_coordinate_axes_and_refuses_others() -> None:
-    assert planar_arm(joint_axis=[[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]).axis_index.tolist() == [1, 0]
-    with pytest.raises(ArrayError, match="second"):
-        _ = planar_arm(joint_axis=[[0.0, 1.0, 0.0], [0.0, 0.0, -1.0]]).axis_index
 
 
 def test_arrays_cannot_be_changed_afterwards() -> None:

@@ -91,7 +91,7 @@ def test_chain_agrees_with_pinocchio(q: np.ndarray) -> None:
 def test_chain_carries_the_limits_of_the_urdf() -> None:
     chain = ARM.chain
     assert chain.joint_names == RIGHT_ARM_JOINTS
-    assert chain.axis_index.tolist() == [2, 1, 0, 1, 0, 1, 0]
+    np.testing.assert_array_equal(chain.joint_axis, np.eye(3)[[2, 1, 0, 1, 0, 1, 0]])
     assert chain.continuous.tolist() == [False, False, False, False, True, False, True]
     np.testing.assert_allclose(chain.lower[:4], [-2.2853981634, -0.5236, -3.9, -2.3213])
     np.testing.assert_allclose(chain.upper[:4], [0.714601836603, 1.3963, 0.8, 0.0])

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humanpred_ros.evaluation.planner_bench.world import BenchWorld
+from humanpred_ros.geometry.chain_kernels import BLOCK
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.stomp import iteration_kernels
-from humanpred_ros.stomp.cost_kernels import BLOCK
 
 BoolArray = NDArray[np.bool_]
 
@@ -82,7 +82,7 @@ def _spheres_done(world: BenchWorld, q: FloatArray) -> float:
 
 
 def _ball(local: FloatArray, radius: FloatArray) -> tuple[FloatArray, float]:
-    """Return the ball that `flat_chain` puts around a link's spheres."""
+    """Return the ball that `flatten` puts around a link's spheres."""
     centre = ((local - radius[:, None]).min(axis=0) + (local + radius[:, None]).max(axis=0)) / 2.0
     return centre, float((np.linalg.norm(local - centre, axis=1) + radius).max())
 

@@ -1,34 +1,86 @@
-"""An arm flattened to float32 arrays, because compiled kernels want constants and not objects.
+"""Joints of an arm or a person as one table of numbers, which is what compiled kernels take.
 
-Every joint is brought to a coordinate axis: where joint l turns about another axis, its frame is re-based by
-a fixed rotation B_l that carries z onto it, which the next joint's origin and the attached points absorb.
+Nothing here is compiled, so that what only reads descriptions does not load a compiler.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from humanpred_ros.errors import ArrayError
-from humanpred_ros.geometry.chain import KinematicChain
 from humanpred_ros.geometry.checks import FloatArray, frozen
-from humanpred_ros.stomp import cost_kernels
+
+if TYPE_CHECKING:
+    from humanpred_ros.geometry.chain import KinematicChain
 
 Float32Array = NDArray[np.float32]
+
+# Compiled functions use these constants.
+#: Columns of a table of joints: origin (3) and fixed rotation (9, row by row) from the joint before, whether that
+#: rotation is another than none, kind (0, 1, 2: turns about x, y, z; 3, 4, 5: slides along them; 6, 7: turns about and
+#: slides along another axis), -1 if the axis points the other way, unit axis (3); and, of a `FlatChain`, first and
+#: last + 1 of the points that move with the joint, centre and radius of a ball around them.
+ROTATION, TURNED, KIND, SIGN, AXIS, FIRST, LAST, BOUND, COLUMNS = 3, 12, 13, 14, 15, 18, 19, 20, 24
+
+
+class Joints(NamedTuple):
+    """J joints as kernels want them; a parent comes before its children.
+
+    Attributes:
+        parent: (J,) number of the joint before: 0 for the root, j + 1 for joint j.
+        table: (J, COLUMNS) float64, a row per joint; lengths in metres.
+    """
+
+    parent: NDArray[np.int64]
+    table: FloatArray
+
+    @classmethod
+    def of(cls, parent: ArrayLike, T_parent_joint: FloatArray, axis: FloatArray, slides: ArrayLike) -> Joints:
+        """Return the joints of a tree.
+
+        Args:
+            parent: (J,) as above.
+            T_parent_joint: (J, 4, 4) pose of each joint at zero in the joint before.
+            axis: (J, 3) unit axes in the joints' own frames.
+            slides: (J,) whether a joint slides along its axis instead of turning about it.
+        """
+        table = np.zeros((len(axis), COLUMNS))
+        table[:, :ROTATION] = T_parent_joint[:, :3, 3]
+        table[:, ROTATION:TURNED] = T_parent_joint[:, :3, :3].reshape(-1, 9)
+        table[:, TURNED] = np.abs(T_parent_joint[:, :3, :3] - np.eye(3)).max(axis=(1, 2)) > 0.0
+        along = np.argmax(np.abs(axis), axis=1)
+        table[:, SIGN] = np.sign(axis[np.arange(len(axis)), along])
+        straight = np.abs(np.abs(axis).sum(axis=1) - 1.0) < 1e-12
+        slides = np.asarray(slides, dtype=np.bool_)
+        table[:, KIND] = np.where(straight, along + 3 * slides, 6 + slides)
+        table[:, AXIS:FIRST] = axis
+        return cls(np.array(parent, dtype=np.int64), table)
+
+    @property
+    def axis(self) -> FloatArray:
+        """(J, 3) unit axes in the joints' own frames."""
+        return self.table[:, AXIS:FIRST]
+
+    @property
+    def slides(self) -> NDArray[np.bool_]:
+        """(J,) whether a joint slides along its axis instead of turning about it."""
+        return np.isin(self.table[:, KIND], (3, 4, 5, 7))
 
 
 @dataclass(frozen=True)
 class FlatChain:
-    """A chain and the points on it, ready for `cost_kernels`.
+    """A chain and points fixed to it in single precision, for kernels that plan.
 
     Positions come out in cells of a lattice: `(world - lattice origin) / resolution`.
 
     Attributes:
         root: (12,) rotation (row by row) and translation of the root, in cells.
-        joints: (J, 20) one row per joint, columns as named in `cost_kernels`; lengths in metres.
+        joints: (J, COLUMNS) a row per joint, columns as named in `chain_kernels`; lengths in metres.
         points: (P, 4) position in the joint's frame and radius (zero for plain points), metres, by joint.
     """
 
@@ -47,6 +99,9 @@ def flatten(
 ) -> FlatChain:
     """Return `chain` with spheres or points (P, 3) attached to its joints, in cells of a lattice.
 
+    Every joint is brought to a coordinate axis: where one turns about another axis, its frame is turned so that z lies
+    along it, which the next joint's origin and the attached points take up.
+
     Args:
         chain: the arm.
         link: (P,) joint each point moves with.
@@ -63,7 +118,6 @@ def flatten(
     before = np.concatenate([np.eye(3)[None], bases[:-1]])
     origin = np.einsum("jba,jb->ja", before, chain.joint_origin_m)
     rotation = np.swapaxes(before, 1, 2) @ chain.joint_rotation @ bases
-    turned = np.abs(rotation - np.eye(3)).max(axis=(1, 2)) > 0.0
     based = np.abs(bases - np.eye(3)).max(axis=(1, 2)) > 0.0
     axis = np.where(based, 2, np.argmax(chain.joint_axis, axis=1))
 
@@ -72,13 +126,11 @@ def flatten(
     offset = np.searchsorted(link[order], np.arange(n + 1))
     root_rotation = chain.T_world_root[:3, :3] / resolution_m
     root_position = (chain.T_world_root[:3, 3] - lattice_origin_m) / resolution_m
-    joints = np.zeros((n, cost_kernels.COLUMNS))
-    joints[:, : cost_kernels.ROTATION] = origin
-    joints[:, cost_kernels.ROTATION : cost_kernels.TURNED] = rotation.reshape(n, 9)
-    joints[:, cost_kernels.TURNED] = turned
-    joints[:, cost_kernels.AXIS] = axis
-    joints[:, cost_kernels.FIRST], joints[:, cost_kernels.LAST] = offset[:-1], offset[1:]
-    joints[:, cost_kernels.BOUND :] = _bounds(local, radius_m[order], offset)
+    T = np.tile(np.eye(4), (n, 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = rotation, origin
+    joints = Joints.of(np.arange(n), T, np.eye(3)[axis], np.zeros(n, dtype=np.bool_)).table
+    joints[:, FIRST], joints[:, LAST] = offset[:-1], offset[1:]
+    joints[:, BOUND:] = _bounds(local, radius_m[order], offset)
     return FlatChain(
         root=_f32(np.concatenate([root_rotation.ravel(), root_position])),
         joints=_f32(joints),
