@@ -1,4 +1,4 @@
-"""Your own scene: a YAML file says where arm, table and tasks are; nobody is there, and the arm takes the nearest task."""
+"""Your own scene: a YAML file says where arm, table and tasks are. With nobody there the arm takes the nearest task."""
 
 import sys
 from pathlib import Path

@@ -6,7 +6,7 @@ import humanpred_ros as hp
 
 run = hp.read_run(sys.argv[1])
 
-print(f"{run.facts.get('scene')}: {len(run.postures)} postures, {len(run.occupancy)} occupancies, {run.duration_s:.2f} s")
+print(f"{len(run.postures)} postures, {len(run.occupancy)} occupancies, {run.duration_s:.2f} s")
 for step in run.steps:
     costs = ", ".join(f"{goal.name} {goal.selection_cost:.4f}" for goal in step.goals)
     print(f"step {step.step} at {step.t_s:.2f} s: {step.action} {step.chosen} ({costs})")

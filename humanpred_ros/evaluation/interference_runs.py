@@ -15,7 +15,7 @@ from humanpred_ros.evaluation.simulation import PredictedOccupancies, RunSetting
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.planning.decision import Decision
-from humanpred_ros.planning.replanner import MultiGoalReplanner
+from humanpred_ros.planning.replanner import Replanner
 from humanpred_ros.robot.scene import Scene
 
 #: What the arm goes by: the predictor that it is told by (None: nobody), and what that is.
@@ -81,7 +81,7 @@ class Runs:
         evaluator = RunEvaluator(scene, self.world.human, motion, final, swept, n_held)
         figures: dict[tuple[str, int], RunFigures] = {}
         for seed in dict.fromkeys(seed for _, seed in task.runs):
-            replanner = MultiGoalReplanner.for_scene(scene, self.settings.replanner_config(motion, seed))
+            replanner = Replanner.for_scene(scene, self.settings.replanner_config(motion, seed))
             try:
                 for method in (method for method, its_seed in task.runs if its_seed == seed):
                     executed, decisions = _run(replanner, scene, motion, method, told, n_held)
@@ -99,7 +99,7 @@ class Runs:
 
 
 def _run(
-    replanner: MultiGoalReplanner,
+    replanner: Replanner,
     scene: Scene,
     motion: Motion,
     method: str,

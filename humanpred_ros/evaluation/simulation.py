@@ -22,7 +22,7 @@ from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.occupancy.predictor import Predictor, predictor_type
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.planning.decision import ARRIVED, Decision
-from humanpred_ros.planning.replanner import MultiGoalReplanner
+from humanpred_ros.planning.replanner import Replanner
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR
 from humanpred_ros.recognition.gmm_classifier import GmmSettings
@@ -32,7 +32,7 @@ from humanpred_ros.robot.scene import Scene, load_scene
 def run_direct(
     scene: Scene,
     predictor: Predictor,
-    replanner: MultiGoalReplanner,
+    replanner: Replanner,
     motion: Motion,
     threshold: float,
     n_held: int = 0,
@@ -60,7 +60,7 @@ def predicted(predictor: Predictor, motion: Motion, threshold: float, n_held: in
 
 
 def drive(
-    replanner: MultiGoalReplanner,
+    replanner: Replanner,
     q_start: ArrayLike,
     occupancies: Iterable[Occupancy],
     n_least: int = 0,

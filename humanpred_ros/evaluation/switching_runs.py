@@ -15,7 +15,7 @@ from humanpred_ros.evaluation.simulation import RunSettings, World, drive, nobod
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.planning.decision import Decision
-from humanpred_ros.planning.replanner import MultiGoalReplanner
+from humanpred_ros.planning.replanner import Replanner
 from humanpred_ros.robot.scene import Scene
 
 #: What choices are made by: predictor, and what that is.
@@ -173,7 +173,7 @@ class Choosing:
         runs: list[VariantRun] = []
         right = default = ""
         for seed in task.seeds:
-            replanner = MultiGoalReplanner.for_scene(scene, self.settings.replanner_config(motion, seed))
+            replanner = Replanner.for_scene(scene, self.settings.replanner_config(motion, seed))
             try:
                 if not runs:
                     right, default = (_at_once(replanner, scene, known) for known in (swept, empty))
@@ -209,7 +209,7 @@ def step_costs(scene: Scene, decisions: list[Decision], period_s: float, n_steps
     return tuple(steps)
 
 
-def _at_once(replanner: MultiGoalReplanner, scene: Scene, occupancy: Occupancy) -> str:
+def _at_once(replanner: Replanner, scene: Scene, occupancy: Occupancy) -> str:
     """Return the goal chosen in the first step by an occupancy; the cheapest if none can be chosen."""
     replanner.start(scene.start, 0.0)
     # Told as what is going to be: what is certain the planner takes for where the body is now.

@@ -20,7 +20,7 @@ from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.markers import candidate_markers, rollout_markers
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.planning.decision import HOLD, Decision
-from humanpred_ros.planning.replanner import MultiGoalReplanner
+from humanpred_ros.planning.replanner import Replanner
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.settings import Settings, setting, setting_of
@@ -79,7 +79,7 @@ class StompPlannerNode(GraphNode):
         super().__init__("stomp_planner")
         self.settings = settings = declare(self, StompPlannerSettings)
         self.scene = load_scene(settings.scene)
-        self.replanner = MultiGoalReplanner.for_scene(self.scene, settings.replanner_config())
+        self.replanner = Replanner.for_scene(self.scene, settings.replanner_config())
         self.replanner.warm_up()
         self.arm_q: FloatArray | None = None
         self.begun = self.holding = False

@@ -1,6 +1,6 @@
 """P1's Algorithm 1: keeps the robot working on the goal that disturbs the person least, replanning while it moves.
 
-`MultiGoalReplanner.respond` is one turn of the loop (docs/papers.md, P1 replanning, lines 1 to 7). Each step takes the
+`Replanner.respond` is one turn of the loop (docs/papers.md, P1 replanning, lines 1 to 7). Each step takes the
 newest predicted occupancy, plans to every goal from where the robot will be one period later, and lets the best plan
 take over then (the one-step lag of P1 Fig. 4). Planning changes nothing: `plan` returns a decision, `commit` makes it
 so.
@@ -41,10 +41,10 @@ from humanpred_ros.robot.goals import Goal
 from humanpred_ros.robot.scene import Scene
 from humanpred_ros.stomp.costs import Float32Array
 
-__all__ = ["MultiGoalReplanner", "ReplannerConfig"]
+__all__ = ["Replanner", "ReplannerConfig"]
 
 
-class MultiGoalReplanner:
+class Replanner:
     """P1's Algorithm 1 for one arm and a set of goals.
 
     Not safe to call from several threads at once; it uses threads of its own.
@@ -90,7 +90,7 @@ class MultiGoalReplanner:
         self.rollouts: dict[str, Float32Array] = {}
 
     @classmethod
-    def for_scene(cls, scene: Scene, config: ReplannerConfig | None = None) -> MultiGoalReplanner:
+    def for_scene(cls, scene: Scene, config: ReplannerConfig | None = None) -> Replanner:
         """Return the replanner of a scene's arm, goals and obstacles."""
         itself = SelfCollision.for_arm(scene.arm).clearance
         return cls(scene.arm, scene.goals, scene.distance_field(), config, self_clearance=itself, grid=scene.grid)

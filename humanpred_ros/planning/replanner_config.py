@@ -12,7 +12,7 @@ __all__ = ["ReplannerConfig"]
 
 
 class ReplannerConfig(Settings):
-    """Settings of `MultiGoalReplanner`: how goals are compared, what is kept clear of, how fast the arm moves.
+    """Settings of `Replanner`: how goals are compared, what is kept clear of, how fast the arm moves.
 
     Goals are compared by the human cost integrated over the path, plus length, rest and task cost ("human_and_length":
     as the authors' code does), or by the total of all cost terms ("total": as the paper's text says).

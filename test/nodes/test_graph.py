@@ -28,7 +28,7 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.occupancy.predictor import PredictorRequest, make_predictor
-from humanpred_ros.planning.replanner import MultiGoalReplanner
+from humanpred_ros.planning.replanner import Replanner
 from humanpred_ros.recognition.model_file import load_model
 from humanpred_ros.robot.scene import load_scene
 
@@ -166,7 +166,7 @@ def test_a_stepped_run_decides_as_the_library_called_directly(run: Path, bag: Ba
         OPTIONS.predictor, PredictorRequest(human, scene.grid, scene.T_world_human, model, onsets=True)
     )
     settings = StompPlannerSettings(period_s=period_of(motion, OPTIONS.steps), seed=OPTIONS.seed, threads=1)
-    replanner = MultiGoalReplanner.for_scene(scene, settings.replanner_config())
+    replanner = Replanner.for_scene(scene, settings.replanner_config())
     n_held = int(OPTIONS.hold_last_s / motion.period_s)
     direct = run_direct(scene, predictor, replanner, motion, OPTIONS.threshold, n_held)
     over_dds = by_stamp(bag, topics.DECISION)

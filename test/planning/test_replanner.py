@@ -11,7 +11,7 @@ from planning_worlds import field_around, free_space, nobody, planar_arm, somebo
 from humanpred_ros.errors import GoalUnreachableError, PlanningError, SettingsError
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.planning.decision import Decision
-from humanpred_ros.planning.replanner import MultiGoalReplanner
+from humanpred_ros.planning.replanner import Replanner
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.planning.trajectory import LIMIT_TOLERANCE
 from humanpred_ros.robot.goals import Goal
@@ -28,8 +28,8 @@ GOALS = (Goal("left", LEFT), Goal("right", RIGHT))
 CONFIG = ReplannerConfig(threads=1, human_margin_m=0.0, stomp=StompConfig(waypoints=40, iterations=15, noise_std=0.01))
 
 
-def replanner(config: ReplannerConfig = CONFIG, goals: tuple[Goal, ...] = GOALS, **parts: object) -> MultiGoalReplanner:
-    subject = MultiGoalReplanner(ARM, goals, parts.get("field", FREE), config)
+def replanner(config: ReplannerConfig = CONFIG, goals: tuple[Goal, ...] = GOALS, **parts: object) -> Replanner:
+    subject = Replanner(ARM, goals, parts.get("field", FREE), config)
     subject.start(START, 0.0)
     return subject
 
@@ -41,7 +41,7 @@ def on_the_way_to(goal: str, t_s: float = 0.0, share: float = 0.5) -> object:
     return somebody_at(x, y, t_s, radius_m=0.15)
 
 
-def steps(subject: MultiGoalReplanner, worlds: list, period: float = 0.1) -> list[Decision]:
+def steps(subject: Replanner, worlds: list, period: float = 0.1) -> list[Decision]:
     decisions = []
     for k, world in enumerate(worlds):
         decisions.append(subject.plan(world(k * period)))
@@ -371,7 +371,7 @@ def test_an_arm_at_rest_gets_out_of_the_way() -> None:
 
 
 def test_an_occupancy_of_another_lattice_is_refused() -> None:
-    subject = MultiGoalReplanner(ARM, GOALS, FREE, CONFIG, grid=nobody().grid)
+    subject = Replanner(ARM, GOALS, FREE, CONFIG, grid=nobody().grid)
     subject.start(START, 0.0)
     assert subject.plan(nobody()).action == "replan"
     other = VoxelGrid((-1.0, -1.0, -0.1), 0.1, (20, 20, 2))
@@ -389,7 +389,7 @@ def test_selection_is_the_authors_by_default_and_the_total_if_asked() -> None:
 
 
 def test_misuse_is_refused() -> None:
-    subject = MultiGoalReplanner(ARM, GOALS, FREE, CONFIG)
+    subject = Replanner(ARM, GOALS, FREE, CONFIG)
     with pytest.raises(PlanningError, match="start"):
         subject.plan(nobody())
     subject.start(START, 0.0)

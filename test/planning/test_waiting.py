@@ -8,7 +8,7 @@ from planning_worlds import PLANE, field_around, free_space, planar_arm, somebod
 
 from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.geometry.lattice import Occupancy
-from humanpred_ros.planning.replanner import MultiGoalReplanner
+from humanpred_ros.planning.replanner import Replanner
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.planning.waiting import ways_aside
 from humanpred_ros.robot.goals import Goal
@@ -20,13 +20,13 @@ CONFIG = ReplannerConfig(threads=1, human_margin_m=0.0)
 
 
 def ways(occupancy: Occupancy, field: SignedDistanceField | None = None, count: int = 6) -> list[np.ndarray]:
-    problem = MultiGoalReplanner(ARM, (Goal("far", KNOWN[0]),), field or free_space(), CONFIG).problem
+    problem = Replanner(ARM, (Goal("far", KNOWN[0]),), field or free_space(), CONFIG).problem
     person, (_, human) = problem.person(occupancy), problem.planner(occupancy)
     return list(ways_aside(problem, person, human, HERE, KNOWN, np.random.default_rng(0), count))
 
 
 def gap(occupancy: Occupancy, q: np.ndarray) -> float:
-    problem = MultiGoalReplanner(ARM, (Goal("far", KNOWN[0]),), free_space(), CONFIG).problem
+    problem = Replanner(ARM, (Goal("far", KNOWN[0]),), free_space(), CONFIG).problem
     return float(problem.person(occupancy).likely_gap_m(q[None])[0])
 
 
@@ -65,7 +65,7 @@ def test_where_nowhere_is_better_there_is_no_way() -> None:
 @pytest.mark.parametrize("separation_m", [0.0, 0.05])
 def test_with_nobody_there_nothing_is_better(separation_m: float) -> None:
     nobody = Occupancy(PLANE, np.zeros(PLANE.shape, dtype=np.float32))
-    problem = MultiGoalReplanner(
+    problem = Replanner(
         ARM, (Goal("far", KNOWN[0]),), free_space(), CONFIG.replaced(min_separation_m=separation_m)
     ).problem
     _, human = problem.planner(nobody)

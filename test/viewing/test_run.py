@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from bag_messages import diagnostic_array
+from paths import REPOSITORY
 
 from humanpred_ros import topics
 from humanpred_ros.bags import messages
@@ -206,3 +209,10 @@ def test_decisions_that_are_not_ours_are_refused(tmp_path: Path, values: dict[st
         writer.write_message(topics.DECISION, 5, array)
     with pytest.raises(BagError, match="wanted numbers"):
         read_run(tmp_path)
+
+
+def test_the_example_reads_a_run(full: Run) -> None:
+    program = REPOSITORY / "examples" / "read_run.py"
+    done = subprocess.run([sys.executable, str(program), str(full.folder)], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith(f"{len(full.postures)} postures")
+    assert done.stdout.count("step ") == len(full.steps)
