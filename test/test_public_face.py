@@ -17,7 +17,7 @@ EXAMPLES = REPOSITORY / "examples"
 PROGRAMS = sorted(path.name for path in EXAMPLES.glob("*.py"))
 #: What each program prints, besides what it needs to be told.
 PRINTED = {
-    "own_classifier.py": r"class \d, p = 0\.\d\d\n$",
+    "own_classifier.py": r"class 3, p = 0\.\d\d\n",
     "own_cost_term.py": r"smoothness: .*\nsmoothness, raised_elbow: ",
     "own_library.py": r"my_reaches: 12 motions; motion 0/0 is taken for class 0",
     "own_scene.py": r"chosen: place \d",
