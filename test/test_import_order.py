@@ -10,7 +10,7 @@ from paths import REPOSITORY
 
 ORDER = (
     "geometry", "bags", "human", "motion", "recognition", "occupancy", "stomp", "reaching", "robot", "planning",
-    "viewing", "evaluation", "nodes", "commands", "cli",
+    "viewing", "api", "__init__", "evaluation", "nodes", "commands", "cli",
 )  # fmt: skip
 #: The same inside packages that have folders; what lies in the package itself comes last.
 INNER_ORDER = {}
