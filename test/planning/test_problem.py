@@ -12,7 +12,7 @@ from planning_worlds import free_space, nobody, planar_arm, somebody_at
 
 from humanpred_ros import plugins
 from humanpred_ros.errors import PlanningError, SettingsError, UsageError
-from humanpred_ros.planning.replanner import MultiGoalReplanner
+from humanpred_ros.planning.replanner import Replanner
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.robot.goals import Goal
 from humanpred_ros.stomp.config import StompConfig
@@ -60,8 +60,8 @@ def other_package(monkeypatch: pytest.MonkeyPatch) -> None:
     Stretched.built = []
 
 
-def replanner(*terms: str) -> MultiGoalReplanner:
-    subject = MultiGoalReplanner(ARM, (Goal("left", LEFT),), free_space(), CONFIG.replaced(cost_terms=terms))
+def replanner(*terms: str) -> Replanner:
+    subject = Replanner(ARM, (Goal("left", LEFT),), free_space(), CONFIG.replaced(cost_terms=terms))
     subject.start(START, 0.0)
     return subject
 
