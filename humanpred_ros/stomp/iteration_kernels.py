@@ -1,8 +1,7 @@
 """One STOMP iteration but for the evaluation of costs, compiled: `begin_update` before it, `finish_update` after it.
 
-Lanes (columns of a right-hand side, or waypoint and joint pairs) are contiguous in memory and innermost, so
-that every loop over lanes packs into vector instructions. The trajectory itself stays float64; rollouts are
-float32.
+Lanes (columns of a right-hand side, or waypoint and joint pairs) are contiguous in memory and innermost, so that every
+loop over lanes packs into vector instructions. The trajectory itself stays float64; rollouts are float32.
 
 R = L Lᵀ is banded: `factor[k, i] = L[i + k, i]` holds four bands below the diagonal and reaches past the end
 as zeros. What needs R⁻¹ is an O(n) sweep, never a dense inverse.
@@ -83,8 +82,7 @@ def solve_unit(factor: NDArray[Any], j: int, x: NDArray[Any]) -> None:
 def random_bits(rng: np.random.Generator, draws: int) -> NDArray[np.uint16]:
     """Return 16 random bits for each of `draws` normal draws, each an index into `QUANTILES`.
 
-    About ten times faster than a generator's own normal draws. The noise is smoothed over a hundred waypoints before
-    anything sees it, so 65536 levels are plenty.
+    About ten times faster than a generator's own normal draws; 65536 levels are plenty for noise that is smoothed.
     """
     words = rng.integers(0, 2**64 - 1, size=(draws + 3) // 4, dtype=np.uint64, endpoint=True)
     return words.view(np.uint16)
@@ -259,8 +257,7 @@ def keep_best(
 ) -> None:
     """Move the `n_best` cheapest of the rollouts to the front, with their costs.
 
-    `copies` is an index array (n_best,) to work in. Ties keep the earlier rollout, so results never depend
-    on the order in which a machine sums.
+    `copies` is an index array (n_best,) to work in. Of equals the earlier rollout is kept.
     """
     n_rollouts, n, n_joints = rollouts.shape
     total = np.zeros(n_rollouts, dtype=np.float64)

@@ -53,21 +53,6 @@ class Smoothness:
         """Number of waypoints that may move."""
         return self.n_waypoints - 2
 
-    def coloured(self, white: Float32Array) -> Float32Array:
-        """Turn white noise (n_free, L) into L draws of N(0, R⁻¹), in place: x = L⁻ᵀ z."""
-        iteration_kernels.colour(self._factor32, white)
-        return white
-
-    def smoothed(self, change: FloatArray) -> FloatArray:
-        """Return M u of a change (n_free, L), rad (1.8)."""
-        out = np.ascontiguousarray(change * self.column_scale[:, None])
-        iteration_kernels.solve(self.factor, out)
-        return out
-
-    @property
-    def _factor32(self) -> Float32Array:
-        return self.factor.astype(np.float32)
-
 
 def accelerations_matrix(n_waypoints: int) -> FloatArray:
     """Return the dense A, (N + 2, N): accelerations of a trajectory continued by copies of its ends.
