@@ -20,8 +20,8 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel, human_with
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
-from humanpred_ros.recognition.onset import BodyPoints, OnsetConfig, OnsetDetector
-from humanpred_ros.recognition.stream import StreamClassifier
+from humanpred_ros.recognition.onset import BodyPoints, OnsetDetector, OnsetSettings
+from humanpred_ros.recognition.stream import StreamClassifier, StreamSettings
 
 #: Where in the recorded motion recognition is looked at.
 PERCENTS = (20, 40, 60, 80, 100)
@@ -99,7 +99,7 @@ class StreamRuns:
     """Carries a library to where its rounds are run."""
 
     def __init__(
-        self, library: MotionLibrary, classifier: str | None, onset: OnsetConfig, seed: int, standing_s: float
+        self, library: MotionLibrary, classifier: str | None, onset: OnsetSettings, seed: int, standing_s: float
     ) -> None:
         """Prepare runs.
 
@@ -183,8 +183,7 @@ class StreamRuns:
 
     def _recognition(self, index: int, name: str) -> tuple[tuple[Recognition, ...], int, FloatArray]:
         rest = self.library.select(lambda motion: motion.index != index)
-        wrapped = StreamClassifier(ClassifierChoice(name).make(self.human), human=self.human)
-        wrapped.config = replace(wrapped.config, onset=self.onset)
+        wrapped = StreamClassifier(ClassifierChoice(name).make(self.human), StreamSettings(onset=self.onset))
         classifier = wrapped.fit(rest)
         stream, _ = self.streams(index, VARIANTS[0])
         known, refused, us = _play(classifier, stream.t_s, stream.q, rest.labels)

@@ -34,7 +34,7 @@ from humanpred_ros.evaluation.stream_runs import PERCENTS, VARIANTS, Outcome, St
 from humanpred_ros.evaluation.stream_scores import FalseStarts, MotionScore, OnsetFigures, onset_figures
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER
-from humanpred_ros.recognition.onset import OnsetConfig
+from humanpred_ros.recognition.onset import OnsetSettings
 from humanpred_ros.settings import setting
 from humanpred_ros.viewing.figures import DASHES, MARKERS, SERIES, new_figure, note
 
@@ -142,7 +142,7 @@ def evaluate_streams(
     begun = time.perf_counter()
     rounds = check_rounds(library)
     classifier = None if settings.classifier == "none" else settings.classifier
-    runs = StreamRuns(library, classifier, OnsetConfig(), settings.seed, 60.0 * settings.standing)
+    runs = StreamRuns(library, classifier, OnsetSettings(), settings.seed, 60.0 * settings.standing)
     found = map_processes(runs, rounds, settings.jobs, progress, settings.scheduler)
     outcomes = dict(zip(rounds, found, strict=True))
     names = {motion.name: motion.index for motion in library}
@@ -249,7 +249,7 @@ def measure(settings: StreamSettings, begin: Begin) -> Report:
         tables.append(_recognition_table(evaluation.recognition, settings.classifier))
     figures = {
         "library": library_facts(library),
-        "onset": OnsetConfig(),
+        "onset": OnsetSettings(),
         "flagged": sorted(flagged),
         **vars(evaluation),
         "variants": [variant.figures() for variant in evaluation.variants],

@@ -84,7 +84,7 @@ class PredictorRequest:
 
     def on_stream(self, classifier: Classifier) -> Classifier:
         """Return a classifier, run on a stream of postures if onsets are to be found."""
-        return StreamClassifier(classifier, human=self.human) if self.onsets else classifier
+        return StreamClassifier(classifier) if self.onsets else classifier
 
 
 class Predictor(ABC):

@@ -107,7 +107,7 @@ class ReachingPredictor(Predictor):
         self.grid = grid
         self.config = config or ReachingConfig()
         self._goals = goals
-        self._recogniser = StreamClassifier(goals, human=human) if onsets else goals
+        self._recogniser = StreamClassifier(goals) if onsets else goals
         w = NAMED_WEIGHTS[DEFAULT_WEIGHTS] if weights is None else weights
         self._futures = ReachFutures(model, w, scene, self.config.futures)
         self._at_rest = ReachProgress(human)

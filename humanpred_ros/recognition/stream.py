@@ -1,51 +1,50 @@
-"""Classifiers judge one motion from its start; sensors deliver people who stand in between. This joins the two."""
+"""Runs a classifier, which judges one motion from its start, on a stream of postures with rest in between."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
-from humanpred_ros.errors import HumanPredError, UsageError
+from humanpred_ros.errors import HumanPredError, SettingsError, UsageError
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
-from humanpred_ros.recognition.onset import BodyPoints, MotionState, OnsetConfig, OnsetDetector
+from humanpred_ros.recognition.onset import BodyPoints, MotionState, OnsetDetector, OnsetSettings
+from humanpred_ros.settings import Settings, setting
 
 
-@dataclass(frozen=True)
-class StreamConfig:
-    """How a classifier is run on a stream.
+class StreamSettings(Settings):
+    """How a classifier is run on a stream."""
 
-    Attributes:
-        onset: when something counts as a motion.
-        lead_in_s: the classifier is shown the rest from so long before a motion's onset on, as it saw it when it
-            learned; None for the median of the library it is fitted to (`fallback_lead_in_s` if it was fitted before).
-        fallback_lead_in_s: as long as library_b's motions rest before they begin.
-        most_replayed: at an onset, this many buffered postures are shown to the classifier at most, evenly chosen: they
-            are shown at once, and that must not take longer than the sensor's next frame.
-        unknown_at_rest: probability of no class to give at rest.
-    """
+    onset: OnsetSettings = setting(OnsetSettings(), "when something counts as a motion")
+    lead_in_s: float | None = setting(
+        None,
+        "the classifier is shown the rest from so long before a motion's onset on, as it saw it when it learned; none: "
+        "the median of the library it is fitted to",
+        unit="s",
+        low=0.0,
+    )
+    fallback_lead_in_s: float = setting(
+        0.25,
+        "for a classifier that was fitted before: as library_b's motions rest at first",
+        unit="s",
+        low=0.0,
+    )
+    most_replayed: int = setting(
+        10,
+        "buffered postures shown to the classifier at an onset, at most, evenly chosen: they are shown at once, which "
+        "must not take longer than the sensor's next frame",
+        low=1,
+    )
+    unknown_at_rest: float = setting(0.0, "probability of no class to give at rest", low=0.0, high=1.0)
 
-    onset: OnsetConfig = field(default_factory=OnsetConfig)
-    lead_in_s: float | None = None
-    fallback_lead_in_s: float = 0.25
-    most_replayed: int = 10
-    unknown_at_rest: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("lead_in_s", "fallback_lead_in_s"):
-            value = getattr(self, name)
-            if value is not None and not 0.0 <= value < np.inf:
-                raise UsageError(f"stream: wanted {name} finite and not negative, got {value}")
-        if self.most_replayed < 1:
-            raise UsageError(f"stream: wanted most_replayed of 1 or more, got {self.most_replayed}")
-        if not 0.0 <= self.unknown_at_rest < 1.0:
-            raise UsageError(f"stream: wanted unknown_at_rest within [0, 1), got {self.unknown_at_rest}")
+    def check(self) -> None:
+        if self.unknown_at_rest == 1.0:
+            raise SettingsError("StreamSettings unknown_at_rest: wanted less than 1, got 1.0")
 
 
 class StreamClassifier(Classifier):
@@ -55,39 +54,40 @@ class StreamClassifier(Classifier):
     shown the buffered postures since shortly before the motion really began, so that nothing of it is lost.
 
     Attributes:
-        config: the settings.
         classifier: the one that is run; its state belongs to this object.
     """
+
+    settings_type = StreamSettings
+    settings: StreamSettings
 
     def __init__(
         self,
         classifier: Classifier,
-        config: StreamConfig | None = None,
+        settings: StreamSettings | None = None,
         *,
-        human: HumanModel | None = None,
         prior: Mapping[int, float] | None = None,
     ) -> None:
         """Wrap a classifier, fitted or to be fitted.
 
         Args:
-            classifier: any.
-            config: settings.
-            human: whose postures come; P1's 12-DoF human if None.
+            classifier: any; its human is the one whose postures come.
+            settings: the default ones if None.
             prior: probability of each class at rest, equal ones if None.
 
         Raises:
             UsageError: a prior that is negative or zero altogether, or a human without a right arm.
         """
-        self.config = StreamConfig() if config is None else config
+        super().__init__(classifier.human, settings)
         self.classifier = classifier
-        self._points = BodyPoints(HumanModel.kinect12() if human is None else human)
+        self._points = BodyPoints(self.human)
         if prior is not None and (min(prior.values(), default=0.0) < 0 or not 0 < sum(prior.values()) < np.inf):
             raise UsageError(f"stream: wanted a prior of non-negative numbers, not all zero, got {dict(prior)}")
         self._prior = prior
-        self._learn({})
+        #: For how long the library's motions rest at first, median; None if it was not fitted here.
+        self._learned_s: float | None = None
         #: The posterior at rest; the classes are known from the first posture on.
         self._rests: ClassPosterior | None = None
-        self._detector = OnsetDetector(self.config.onset)
+        self._detector = OnsetDetector(self.settings.onset)
         self.start()
 
     @property
@@ -98,30 +98,18 @@ class StreamClassifier(Classifier):
     @property
     def lead_in_s(self) -> float:
         """Rest shown before the onset: the setting, or what the library it was fitted to has."""
-        if self.config.lead_in_s is not None:
-            return self.config.lead_in_s
-        return self.config.fallback_lead_in_s if self._learned_s is None else self._learned_s
+        if self.settings.lead_in_s is not None:
+            return self.settings.lead_in_s
+        return self.settings.fallback_lead_in_s if self._learned_s is None else self._learned_s
 
     def fit(self, library: MotionLibrary) -> StreamClassifier:
         """Fit the classifier, and learn how long the library's motions rest at first; return self."""
         self.classifier = self.classifier.fit(library)
-        rests = {motion.name: self._rests_s(motion) for motion in library}
-        self._learn({name: rests_s for name, rests_s in rests.items() if rests_s is not None})
+        rests = [rests_s for motion in library if (rests_s := self._rests_s(motion)) is not None]
+        self._learned_s = float(np.median(rests)) if rests else None
         self._rests = None
         self.start()
         return self
-
-    def fit_without(self, library: MotionLibrary, name: str) -> StreamClassifier:
-        """Return a new one whose classifier is fitted without one motion; that one's rest does not count either."""
-        name = library.find(name).name
-        other = StreamClassifier(
-            self.classifier.fit_without(library, name),  # type: ignore[attr-defined]
-            self.config,
-            human=self._points.human,
-            prior=self._prior,
-        )
-        other._learn({key: value for key, value in self._lead_ins_s.items() if key != name})
-        return other
 
     def start(self) -> None:
         """Forget the stream: the next posture is the first of a person at rest."""
@@ -136,7 +124,7 @@ class StreamClassifier(Classifier):
     def update(self, q: FloatArray, t_s: float) -> ClassPosterior:
         """Take one posture (D,) stamped `t_s` and return the posterior; the prior, with no frames seen, at rest.
 
-        A call that raises leaves the stream as it was. A step between stamps longer than `config.onset.gap_s` ends
+        A call that raises leaves the stream as it was. A step between stamps longer than `settings.onset.gap_s` ends
         what was.
 
         Raises:
@@ -155,7 +143,7 @@ class StreamClassifier(Classifier):
         if not continued:
             self._buffer.clear()
         self._buffer.append((t_s, np.array(q, dtype=np.float64)))
-        while self._buffer[0][0] < t_s - self.lead_in_s - self.config.onset.lookback_s:
+        while self._buffer[0][0] < t_s - self.lead_in_s - self.settings.onset.lookback_s:
             self._buffer.popleft()
         if not state.moving:
             return replace(rests, t_s=t_s)
@@ -181,7 +169,7 @@ class StreamClassifier(Classifier):
         if before is not None:
             from_s = max(from_s, before.since_s)
         frames = [frame for frame in self._buffer if frame[0] >= from_s] or [self._buffer[-1]]
-        chosen = np.linspace(len(frames) - 1, 0, min(len(frames), self.config.most_replayed)).round().astype(int)
+        chosen = np.linspace(len(frames) - 1, 0, min(len(frames), self.settings.most_replayed)).round().astype(int)
         self.classifier.start()
         for k in chosen[:0:-1]:
             with suppress(HumanPredError):  # a posture at rest that the classifier would have refused
@@ -192,18 +180,13 @@ class StreamClassifier(Classifier):
         share = np.array([1.0 if self._prior is None else self._prior.get(label, 0.0) for label in labels])
         if not share.sum() > 0:
             raise UsageError(f"stream: wanted a prior for some of the classes {labels}, got one for {self._prior}")
-        unknown = self.config.unknown_at_rest
+        unknown = self.settings.unknown_at_rest
         probability = (1.0 - unknown) * share / share.sum()
         return ClassPosterior(labels, probability, np.zeros(len(labels)), 0.0, 0, unknown)
 
-    def _learn(self, lead_ins_s: dict[str, float]) -> None:
-        """Take, by motion, for how long each rests at first."""
-        self._lead_ins_s = lead_ins_s
-        self._learned_s = float(np.median(list(lead_ins_s.values()))) if lead_ins_s else None
-
     def _rests_s(self, motion: Motion) -> float | None:
         """Return for how long a motion rests before its onset, None if none is found."""
-        detector = OnsetDetector(self.config.onset)
+        detector = OnsetDetector(self.settings.onset)
         for q, t_s in zip(motion.q, motion.t_s.tolist(), strict=True):
             state = detector.update(self._points(q), t_s)
             if state.moving:

@@ -283,7 +283,7 @@ def test_it_runs_on_a_stream() -> None:
     assert goals is not None
     rest = np.repeat(motion.q[:1], 60, axis=0) + np.random.default_rng(0).normal(0.0, 0.001, (60, 12))
     t_s = np.arange(110) * motion.period_s
-    stream = StreamClassifier(fresh(goals), human=HUMAN)
+    stream = StreamClassifier(fresh(goals))
     p = answers(stream, Motion(t_s, np.vstack([rest, motion.q]), motion.dof_names))
     np.testing.assert_allclose(p[:50, :4], 0.25)
     assert p[60 + 34, :4].argmax() == 1

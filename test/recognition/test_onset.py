@@ -1,14 +1,16 @@
-"""A motion begins when the hand leaves its rest for good and ends when it is back, whatever rate and noise."""
+"""Onsets and ends in streams of postures, and where and how a body rests."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from humanpred_ros.errors import ArrayError, MotionError
-from humanpred_ros.recognition.onset import MotionState, OnsetConfig, OnsetDetector
+from humanpred_ros.errors import ArrayError, MotionError, SettingsError
+from humanpred_ros.recognition.onset import MotionState, OnsetDetector, OnsetSettings, RestModel
 
 REST = np.array([[0.1, -0.25, -0.2], [0.0, -0.3, 0.1], [0.0, 0.0, 0.5]])
 GOAL = np.array([[0.6, -0.1, 0.1], [0.3, -0.25, 0.25], [0.05, 0.0, 0.5]])
@@ -78,7 +80,7 @@ def test_who_stays_at_the_goal_rests_there_after_a_while() -> None:
     assert found[-1].n_motions == 1
     assert not moving[-1]
     ended = t[len(moving) - 1 - np.argmax(moving[::-1])]
-    assert 4.8 + 1.0 < ended < 4.8 + OnsetConfig().far_s + 0.5
+    assert 4.8 + 1.0 < ended < 4.8 + OnsetSettings().far_s + 0.5
 
 
 def test_a_gap_ends_what_was() -> None:
@@ -86,7 +88,7 @@ def test_a_gap_ends_what_was() -> None:
     k = int(np.argmax(t > 3.6))
     detector = OnsetDetector()
     assert states(t[:k], points[:k], detector)[-1].moving
-    assert not detector.update(points[k], float(t[k]) + OnsetConfig().gap_s + 0.1).moving
+    assert not detector.update(points[k], float(t[k]) + OnsetSettings().gap_s + 0.1).moving
 
 
 @pytest.mark.parametrize(
@@ -106,3 +108,109 @@ def test_what_cannot_be_used_changes_nothing(points: np.ndarray, t_s: float, err
         if k % 50 == 49:
             with pytest.raises(error):
                 with_bad.update(points, t_s if t_s != 5.0 else float(stamp) + 0.001)
+
+
+USUAL = np.array([0.006, 0.006, 0.006, 0.004, 0.004, 0.004])
+PLACE = np.array([0.2, -0.3, 0.1, 0.1, -0.3, 0.3])
+
+
+def rested(scatter: np.ndarray, *, n: int = 3000, config: OnsetSettings | None = None, seed: int = 0) -> RestModel:
+    """Return a model that has watched a body at rest at 60 Hz, its points scattered by a factor (6, 6)."""
+    rng = np.random.default_rng(seed)
+    model = RestModel(USUAL, config)
+    model.settle(PLACE[None], 0.0)
+    for noise in rng.normal(size=(n, 6)) @ scatter.T:
+        model.learn(PLACE + noise, model.distance(PLACE + noise), 1 / 60)
+    return model
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 1000), angle=st.floats(0.0, 3.1), turn_rad=st.floats(1e-6, 0.05))
+def test_the_distance_is_mahalanobis_with_floor_and_turn(seed: int, angle: float, turn_rad: float) -> None:
+    config = OnsetSettings(turn_rad=turn_rad)
+    model = rested(np.diag(USUAL) + 0.002 * np.cos(angle), n=300, config=config, seed=seed)
+    turned = turn_rad * np.array([-model.place[1], model.place[0], 0.0, -model.place[4], model.place[3], 0.0])
+    covariance = model.covariance + config.floor_m**2 * np.eye(6) + np.outer(turned, turned)
+    x = PLACE + np.random.default_rng(seed).normal(0.0, 0.03, 6)
+    known = model.rested_s / (model.rested_s + 0.1)
+    square = known * (x - model.place) @ np.linalg.solve(covariance, x - model.place) / 6
+    assert model.distance(x) == pytest.approx(np.sqrt(square), rel=1e-9)
+
+
+def test_the_scatter_of_this_person_is_learned() -> None:
+    wide = np.diag([0.03, 0.001, 0.001, 0.001, 0.001, 0.001])
+    model = rested(wide, n=12000, config=OnsetSettings(trusted=100.0))
+    np.testing.assert_allclose(np.sqrt(np.diag(model.covariance))[0], 0.03, rtol=0.25)
+    away = np.zeros(6)
+    away[0] = 0.05
+    across = np.roll(away, 1)
+    assert model.distance(PLACE + across) > 4 * model.distance(PLACE + away)
+
+
+def test_one_wild_frame_changes_place_and_scatter_little() -> None:
+    model = rested(np.diag(USUAL))
+    place, covariance = model.place.copy(), model.covariance.copy()
+    for wild in (PLACE + 1.0, PLACE + 1e6, PLACE + 1e200):
+        model.learn(wild, model.distance(wild), 1 / 30)
+    assert np.abs(model.place - place).max() < 0.002
+    assert np.abs(model.covariance - covariance).max() < 0.3 * USUAL.max() ** 2
+
+
+def test_the_place_follows_drift() -> None:
+    model = rested(np.diag(USUAL))
+    for k in range(600):
+        x = PLACE + 0.01 * k / 60
+        model.learn(x, model.distance(x), 1 / 60)
+    assert np.abs(model.place - x).max() < 0.01
+
+
+@settings(max_examples=20)
+@given(parts=st.lists(st.sampled_from([1 / 100, 1 / 60, 1 / 30]), min_size=200, max_size=300))
+def test_time_counts_and_not_frames(parts: list[float]) -> None:
+    """A body that lies still somewhere else is followed the same way at any rate."""
+    model = RestModel(USUAL)
+    model.settle(PLACE[None], 1.0)
+    x = PLACE + 0.005
+    for step_s in parts:
+        model.learn(x, model.distance(x), step_s)
+    left = np.exp(-sum(parts) / model.settings.drift_s)
+    assert abs(float((x - model.place)[0]) / 0.005 - left) < 0.05
+
+
+def test_settling_takes_the_scatter_of_the_new_rest_but_no_single_bad_frame() -> None:
+    rng = np.random.default_rng(3)
+    frames = PLACE + rng.normal(0.0, 0.01, (18, 6))
+    clean, wild = RestModel(USUAL), RestModel(USUAL)
+    clean.settle(frames, 0.3)
+    assert clean.covariance[0, 0] > USUAL[0] ** 2  # noisier than usual
+    frames[7] += 0.5
+    wild.settle(frames, 0.3)
+    assert np.abs(wild.place - clean.place).max() < 0.01
+    assert np.trace(wild.covariance) < 3 * np.trace(clean.covariance)
+
+
+def test_a_rest_just_begun_is_uncertain() -> None:
+    model = RestModel(USUAL)
+    model.settle(PLACE[None], 0.0)
+    assert model.distance(PLACE + 1.0) == 0.0
+    model.settle(np.tile(PLACE, (5, 1)), 0.1)
+    early = model.distance(PLACE + 0.05)
+    model.rested_s = 10.0
+    assert early < model.distance(PLACE + 0.05)
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"floor_m": 0.0}, "floor_m"),
+        ({"noise_s": float("nan")}, "noise_s"),
+        ({"scatter_m": (0.01, 0.0, 0.01)}, "scatter_m"),
+        ({"scatter_m": (0.01, 0.01)}, "scatter_m"),
+        ({"settle_s": 0.6}, "settle_s"),
+        ({"distance": 2.45}, "distance"),
+        ({"near_s": 3.0}, "near_s"),
+    ],
+)
+def test_impossible_settings_are_refused(changes: dict[str, Any], named: str) -> None:
+    with pytest.raises(SettingsError, match=named):
+        OnsetSettings(**changes)
