@@ -17,8 +17,8 @@ from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.planning.path import NODES, SmoothPath, path_parameter, smooth_path
 from humanpred_ros.planning.speed_profile import SMOOTHING_S, AveragedProfile, Begin, controllable, fastest
-from humanpred_ros.planning.stopping import ComingToRest, stop_trajectory
-from humanpred_ros.planning.trajectory import LIMIT_TOLERANCE, MOMENTS, TimedTrajectory, at_rest, limit_use
+from humanpred_ros.planning.stopping import MOMENTS, ComingToRest, limit_use, stop_trajectory
+from humanpred_ros.planning.trajectory import LIMIT_TOLERANCE, TimedTrajectory, at_rest
 
 #: Shares of the limits that planned motion uses; the rest is for rounding off and interpolating.
 USED_V, USED_A = 0.98, 0.95

@@ -7,14 +7,12 @@ a ROS joint trajectory controller does; so position, velocity and acceleration a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
-from humanpred_ros.geometry.compiled import exact
 
 #: Trajectories made by this package keep to velocity and acceleration limits, between their knots too, to
 #: within this share of them.
@@ -121,50 +119,6 @@ def at_rest(q: ArrayLike, t_s: float) -> TimedTrajectory:
     """Return the trajectory of a robot that rests at `q` (D,) from `t_s` on."""
     q = np.atleast_2d(np.asarray(q, dtype=np.float64))
     return TimedTrajectory(np.array([t_s]), q, np.zeros_like(q), np.zeros_like(q))
-
-
-#: Moments looked at per knot: its own and those between it and the next.
-MOMENTS = 8
-
-
-def limit_use(trajectory: TimedTrajectory, v_limit: FloatArray, a_limit: FloatArray) -> FloatArray:
-    """Return the largest share of any limit used (T, MOMENTS) at each knot and between it and the next.
-
-    Args:
-        v_limit, a_limit: (D,) rad/s and rad/s².
-    """
-    use: FloatArray = _use(trajectory.t_s, trajectory.q, trajectory.v, trajectory.a, v_limit, a_limit)
-    return use
-
-
-@exact
-def _use(
-    t: NDArray[Any],
-    q: NDArray[Any],
-    v: NDArray[Any],
-    a: NDArray[Any],
-    v_limit: NDArray[Any],
-    a_limit: NDArray[Any],
-) -> NDArray[Any]:
-    use = np.zeros((len(t), MOMENTS))
-    for j in range(q.shape[1]):
-        per_v, per_a = 1.0 / v_limit[j], 1.0 / a_limit[j]
-        for k in range(len(t) - 1):
-            h = t[k + 1] - t[k]
-            v0, a0 = v[k, j] * h, a[k, j] * h * h
-            # The same quintic as `TimedTrajectory.sample`.
-            d = q[k + 1, j] - q[k, j] - v0 - 0.5 * a0
-            e = v[k + 1, j] * h - v0 - a0
-            f = a[k + 1, j] * h * h - a0
-            c3, c4, c5 = 10.0 * d - 4.0 * e + 0.5 * f, -15.0 * d + 7.0 * e - f, 6.0 * d - 3.0 * e + 0.5 * f
-            for m in range(MOMENTS):
-                u = m / MOMENTS
-                speed = (v0 + u * (a0 + u * (3.0 * c3 + u * (4.0 * c4 + u * 5.0 * c5)))) / h
-                change = (a0 + u * (6.0 * c3 + u * (12.0 * c4 + u * 20.0 * c5))) / (h * h)
-                use[k, m] = max(use[k, m], max(abs(speed) * per_v, abs(change) * per_a))
-        last = len(t) - 1
-        use[last, 0] = max(use[last, 0], max(abs(v[last, j]) * per_v, abs(a[last, j]) * per_a))
-    return use
 
 
 #: Trajectories kept; at ten steps a second this is some seconds of changing movement.

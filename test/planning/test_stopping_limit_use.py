@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from humanpred_ros.planning.speed_profile import SMOOTHING_S, AveragedProfile, Begin
-from humanpred_ros.planning.stopping import ComingToRest
-from humanpred_ros.planning.trajectory import MOMENTS, TimedTrajectory, limit_use
+from humanpred_ros.planning.stopping import MOMENTS, ComingToRest, limit_use
+from humanpred_ros.planning.trajectory import TimedTrajectory
 
 SEEDS = st.integers(0, 2**32 - 1)
 
