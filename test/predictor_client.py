@@ -17,7 +17,7 @@ from humanpred_ros import topics
 from humanpred_ros.bags.messages import point_cloud2_fields
 from humanpred_ros.evaluation.processes import NodeProcess, ParameterValue
 from humanpred_ros.nodes import conversions, qos
-from humanpred_ros.reaching.places import GoalPlaces
+from humanpred_ros.reaching.places import Places
 from humanpred_ros.robot.scene import load_scene
 
 SCENE = load_scene("four_places")
@@ -85,9 +85,9 @@ class PredictorClient(NodeClient):
         self.stop_after = stop_after
         self._decide(max(self.occupancies))
 
-    def set_goals(self, goals: GoalPlaces) -> None:
+    def set_places(self, places: Places) -> None:
         """Set the parameter to these places of the tracker's frame."""
-        done, reason = self.set_parameter("places", goal_texts(goals))
+        done, reason = self.set_parameter("places", goal_texts(places))
         assert done, reason
 
     def probability(self, label: int) -> NDArray[np.float64]:
@@ -122,7 +122,7 @@ class PredictorClient(NodeClient):
         self._decisions.publish(decision)
 
 
-def goal_texts(goals: GoalPlaces) -> list[str]:
+def goal_texts(goals: Places) -> list[str]:
     """Return places of the tracker's frame as the parameter wants them."""
     places = goals.moved(SCENE.T_world_human).places_m.tolist()
     return [f"{label} {x!r} {y!r} {z!r}" for label, (x, y, z) in zip(goals.labels, places, strict=True)]

@@ -28,8 +28,8 @@ from humanpred_ros.occupancy.predictor import (
 from humanpred_ros.occupancy.swept_volume_predictor import SweptVolumePredictor, swept_volume
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER
-from humanpred_ros.reaching.places import GoalPlaces, ReachEnd, reach_ends, reaching_for
-from humanpred_ros.reaching.reach_sources import ReachKnowledge
+from humanpred_ros.reaching.places import Places, ReachEnd, reach_ends, reaching_for
+from humanpred_ros.reaching.reach_knowledge import ReachKnowledge
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
 from humanpred_ros.recognition.classifier import Classifier, classifier_type
 from humanpred_ros.recognition.forest import ForestSettings
@@ -178,10 +178,10 @@ class Forecasts(LeaveOneOut):
 
 
 class UnseenClass(LeaveOneOut):
-    """For the predictor that is told places: learns from no motion of the left-out one's class.
+    """For the predictor that is given places: learns from no motion of the left-out one's class.
 
-    The class's place stands among the others it is told, as a scene would state it: where the other motions of the
-    class end. Places stand where the tested people are (`FoldSettings.T_shift`): they are told, not learned.
+    The class's place is among those given, as a scene would state it: where the other motions of the class end. Places
+    are where the tested people are (`FoldSettings.T_shift`), since they are given, not learned.
     """
 
     learned_from_class = "no"
@@ -191,7 +191,7 @@ class UnseenClass(LeaveOneOut):
         self._knowledge: dict[str, ReachKnowledge] = {}
 
     def without(self, name: str) -> ReachingPredictor:
-        """Return the predictor as if nobody had ever been seen to reach for that motion's place."""
+        """Return the predictor as if no reach to that motion's place had been recorded."""
         s = self.settings
         label = _class_of(name)
         if label not in self._knowledge:
@@ -199,9 +199,9 @@ class UnseenClass(LeaveOneOut):
             strayed = reaching_for(self._ends, left_out)
             others = s.library.select(lambda motion: motion.name not in strayed)
             self._knowledge[label] = ReachKnowledge.of_library(others, s.human)
-        # The left-out motion has no part in its own class's place.
-        goals = GoalPlaces.of_ends(self._ends, without_motion=name).moved(s.T_shift)
-        return self._knowledge[label].predictor(s.grid, s.T_world_human, goals)
+        # The left-out motion is not counted in the place of its class.
+        places = Places.of_ends(self._ends, without_motion=name).moved(s.T_shift).by_label
+        return ReachingPredictor(self._knowledge[label], s.grid, s.T_world_human, places)
 
     @cached_property
     def _ends(self) -> tuple[ReachEnd, ...]:

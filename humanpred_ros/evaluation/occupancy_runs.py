@@ -113,13 +113,13 @@ def until_end(motion: Motion, human: HumanModel, until: str) -> tuple[FloatArray
 
 
 def _forgets_place(predictor: Predictor, label: int | None) -> bool:
-    """Take one place away from a predictor that is told places; return whether it had that one and others."""
+    """Take one place away from a predictor that is given places; return whether it had that one and others."""
     if not isinstance(predictor, ReachingPredictor):
         return False
-    goals = predictor.goals
-    if label is None or label not in goals.labels or len(goals) < 2:
+    places = predictor.places
+    if label is None or label not in places or len(places) < 2:
         return False
-    predictor.set_goals(goals.without(label))
+    predictor.set_places({other: place for other, place in places.items() if other != label})
     return True
 
 

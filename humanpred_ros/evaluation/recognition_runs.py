@@ -18,7 +18,7 @@ from humanpred_ros.evaluation.recognition_scores import IntArray, percent_indice
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel, human_with
 from humanpred_ros.motion.motion import Motion, MotionLibrary, resample
-from humanpred_ros.reaching.place_classifier import GoalClassifier
+from humanpred_ros.reaching.place_classifier import PlaceClassifier
 from humanpred_ros.recognition.classifier import Classifier, ClassPosterior, classifier_type
 from humanpred_ros.settings import Settings
 
@@ -39,7 +39,7 @@ def evaluated_names() -> tuple[str, ...]:
 
 def evaluated_type(name: str) -> type[Classifier]:
     """Return the class of a name of `evaluated_names`. Raises UsageError for another."""
-    return GoalClassifier if name == REACHING else classifier_type(name)
+    return PlaceClassifier if name == REACHING else classifier_type(name)
 
 
 def needs_of(name: str) -> Needs:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
@@ -31,10 +32,9 @@ from humanpred_ros.occupancy.predictor import (
 )
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR
 from humanpred_ros.reaching.features import NAMED_WEIGHTS
-from humanpred_ros.reaching.places import GoalPlaces
-from humanpred_ros.reaching.reach_goals import goals_from_text, goals_of_scene
-from humanpred_ros.reaching.reach_sources import ReachKnowledge
-from humanpred_ros.reaching.reaching_predictor import DEFAULT_WEIGHTS, ReachingPredictor
+from humanpred_ros.reaching.places import places_from_text, places_in_world
+from humanpred_ros.reaching.reach_knowledge import ReachKnowledge
+from humanpred_ros.reaching.reaching_predictor import ReachingPredictor, ReachingSettings
 from humanpred_ros.reaching.weights import reach_weights
 from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.recognition.model_file import load_model
@@ -79,8 +79,10 @@ class OccupancyPredictorSettings(Settings):
         "reaching only: where the hand may go, each 'label x y z' (world frame, m); [''] asks scene, then library",
         changeable=True,
     )
-    reach_weights: str = setting(
-        DEFAULT_WEIGHTS, f"reaching only: weights of P2's cost, {', '.join(NAMED_WEIGHTS)}, or a .json file"
+    reach_weights: str = setting_of(
+        ReachingSettings,
+        "weights",
+        description=f"reaching only: weights of P2's cost, {', '.join(NAMED_WEIGHTS)}, or a .json file",
     )
     detect_onsets: bool = setting(True, "find where motions begin and end; false: the first posture begins one")
     body_id: str = setting("body_0", "REP-155 body id listened to")
@@ -115,7 +117,8 @@ class OccupancyPredictorNode(GraphNode):
         _ = GmmSettings(**online)
         told = self._told(list(settings.places))
         self.goals_m: FloatArray | None = None
-        self.own_places: GoalPlaces | None = None
+        scene_places = places_in_world({place.label: place.place_m for place in scene.places}, scene.T_world_human)
+        self.scene_places = None if scene_places is None else scene_places.by_label
         self.predictor = (
             self._reaching(scene, told) if settings.predictor == "reaching" else self._trained(scene, online)
         )
@@ -161,10 +164,11 @@ class OccupancyPredictorNode(GraphNode):
         needed = needed_classifiers(self.settings.predictor, self.settings.classifier)
         return train_model(load_library(locate(self.settings.library, "bags")), self.human, dict.fromkeys(needed))
 
-    def _reaching(self, scene: Scene, told: GoalPlaces | None) -> ReachingPredictor:
+    def _reaching(self, scene: Scene, told: Mapping[int, FloatArray] | None) -> ReachingPredictor:
         """Return the predictor that knows places; a library without classes is enough for it, given places."""
         settings = self.settings
-        weights = reach_weights(settings.reach_weights)
+        weights = ReachingSettings(weights=settings.reach_weights)
+        reach_weights(weights.weights)  # named wrongly, they should not cost the learning first
         if settings.model:
             knowledge = ReachKnowledge.of_model(load_model(settings.model, self.human), self.human)
         else:
@@ -173,46 +177,38 @@ class OccupancyPredictorNode(GraphNode):
             if "recordings" in library.provenance:
                 self.get_logger().info(f"motions: {library.provenance['recordings']}")
             knowledge = ReachKnowledge.of_library(library, self.human)
-        if knowledge.left_out:
-            self.get_logger().warning(f"mistracked, not learned from: {', '.join(knowledge.left_out)}")
-        self.own_places = (
-            goals_of_scene({place.label: place.place_m for place in scene.places}, scene.T_world_human)
-            or knowledge.places
+        predictor = ReachingPredictor(
+            knowledge,
+            scene.grid,
+            scene.T_world_human,
+            told or self.scene_places,
+            onsets=settings.detect_onsets,
+            obstacles=scene.obstacles,
+            settings=weights,
         )
-        goals = told or self.own_places
-        onsets = settings.detect_onsets
-        return knowledge.predictor(
-            scene.grid, scene.T_world_human, goals, onsets=onsets, weights=weights, obstacles=scene.obstacles
-        )
+        for note in predictor.notes:
+            self.get_logger().warning(note)
+        return predictor
 
-    def _told(self, entries: list[str]) -> GoalPlaces | None:
+    def _told(self, entries: list[str]) -> Mapping[int, FloatArray] | None:
         """Return the places in the parameter `places` (UsageError if it cannot be used)."""
-        told = goals_from_text(entries, self.T_world_human)
+        told = places_from_text(entries, self.T_world_human)
         if told is not None and self.settings.predictor != "reaching":
             raise UsageError(
                 f"parameter places: wanted the predictor reaching, got {self.settings.predictor}, which knows "
                 "only what its library shows; set predictor to reaching"
             )
-        return told
+        return None if told is None else told.by_label
 
     def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Take other goals at run time, all or none of those set at once; everything else is read-only."""
-        told = []
-        for parameter in parameters:
-            if parameter.name != "places":
-                continue
-            try:
-                goals = self._told(parameter.value or []) or self.own_places
-                if goals is None:
-                    raise UsageError(
-                        "reach goals: wanted at least one place, got none; neither scene nor library has any"
-                    )
-            except UsageError as error:
-                return SetParametersResult(successful=False, reason=str(error))
-            told.append(goals)
-        if told and isinstance(self.predictor, ReachingPredictor):
-            self.predictor.set_goals(told[-1])
-            self.looked_ns = None
+        """Take other places at run time; everything else is read-only."""
+        try:
+            told = [self._told(parameter.value or []) for parameter in parameters if parameter.name == "places"]
+            if told and isinstance(self.predictor, ReachingPredictor):
+                self.predictor.set_places(told[-1] or self.scene_places)
+                self.looked_ns = None
+        except UsageError as error:
+            return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def waiting_for(self) -> str:
@@ -246,7 +242,7 @@ class OccupancyPredictorNode(GraphNode):
         """Publish where the hand may go, and how probable each place is."""
         posterior, T = prediction.posterior, self.T_world_human
         if isinstance(self.predictor, ReachingPredictor):
-            self.goals_m = self.predictor.goals.places_m
+            self.goals_m = np.array(list(self.predictor.places.values()))
         if posterior is None or self.goals_m is None:
             return
         if prediction.T_library_tracker is not None:
@@ -261,7 +257,7 @@ class OccupancyPredictorNode(GraphNode):
             return
         if self.looked_ns is None or abs(stamp_ns - self.looked_ns) >= _REACH_PERIOD_NS:
             self.looked_ns = stamp_ns
-            self.warn({f"goal {far.label}": str(far) for far in self.predictor.goals.out_of_reach(self.human, q)})
+            self.warn(self.predictor.warnings(q))
 
 
 main = entry_point(OccupancyPredictorNode)

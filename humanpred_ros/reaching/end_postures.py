@@ -1,12 +1,12 @@
-"""In which posture does a reach to a given place end? Learned from reaches to others, corrected to touch it.
+"""The posture in which a reach to a given place ends: learned from reaches to other places, corrected to touch it.
 
-A place says where the hand ends, not how the body gets it there: how far people lean and step, and where the elbow
-stays. That is a smooth function of where the place is seen from the body, so it carries over to places nobody reached
-for: by how much pelvis and torso move from where they are, and which angles the arm has then. What the learned
-function misses is made up by moving those DoFs that vary anyway: inverse kinematics in the metric of what people do,
-which as a whole is the Gaussian of postures given that the hand is at the place.
+A place says where the hand ends, not how the body gets it there: how far people lean and step, and where the elbow is.
+That is a smooth function of where the place is seen from the body, so it carries over to places nobody reached for: how
+far pelvis and torso move, and which angles the arm has at the end. What the learned function misses is corrected by
+moving those DoFs that vary most: inverse kinematics in the metric of what people do, which as a whole is the Gaussian
+of postures given that the hand is at the place.
 
-Not in P2, which is told the end posture (facts: icra2015, section 5).
+Not in P2, where the end posture is given.
 """
 
 from __future__ import annotations
@@ -22,42 +22,37 @@ from humanpred_ros.errors import HumanModelError, MotionError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.human.chain_points import ChainPoints
 from humanpred_ros.human.model import HumanModel
+from humanpred_ros.settings import Settings, setting
 
 HAND, BODY, TRUNK_END = "right_palm", "pelvis", "neck"
 #: The start is the median of so many first postures.
 N_START = 5
-#: Nobody ends twice in the same posture: the least standard deviations, also where few reaches were seen.
+#: Least standard deviations, for when few reaches were seen: people never end twice in the same posture.
 _LEAST_M, _LEAST_RAD = 0.02, 0.1
 _STEP_SHARES = (1.0, 0.5, 0.25, 0.125)
 #: In units of a squared standard deviation.
 _CONVERGED = 1e-3
 
 
-@dataclass(frozen=True)
-class EndPosturesConfig:
+class EndPosturesSettings(Settings):
     """How end postures are learned and corrected.
 
-    Half or double of any number changes the error of either of P1's libraries by less than 10 %, but for twice the
-    bend, which is nearly none: then the error of library_a grows by 39 %, where people lean for far places only.
-
-    Attributes:
-        slope_m: places so far apart are as different in the linear part of the function as ...
-        bend_m: ... places so far apart are in the part that bends, which falls off with distance.
-        noise: variance of what people do, in units of that of the function: the greater the smoother.
-        place_m: a hand that reaches for a place ends so far from it, standard deviation in each direction.
-        n_iterations: of the correction at most; most converge in three to five.
+    Half or double of any number changes the error on either of P1's libraries by less than 10 %, except twice the
+    bend_m, which makes the function nearly linear: then the error on library_a, where people lean for far places only,
+    grows by 39 %.
     """
 
-    slope_m: float = 0.3
-    bend_m: float = 0.5
-    noise: float = 0.2
-    place_m: float = 0.03
-    n_iterations: int = 20
-
-    def __post_init__(self) -> None:
-        numbers = (self.slope_m, self.bend_m, self.noise, self.place_m)
-        if not all(0.0 < number < np.inf for number in numbers) or self.n_iterations < 1:
-            raise MotionError(f"end postures: wanted positive numbers, got {self}")
+    slope_m: float = setting(
+        0.3, "Distance of two places at which the linear part of the function differs by its unit", unit="m", low=1e-6
+    )
+    bend_m: float = setting(
+        0.5, "Distance of two places over which the part of the function that bends is alike", unit="m", low=1e-6
+    )
+    noise: float = setting(0.2, "Variance of what people do, relative to that of the function", low=1e-9)
+    place_m: float = setting(
+        0.03, "Standard deviation of the hand about its place in each direction", unit="m", low=1e-6
+    )
+    n_iterations: int = setting(20, "Iterations of the correction at most; most converge in three to five", low=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,13 +72,13 @@ class EndPosture:
 
 @dataclass(frozen=True, eq=False)
 class EndPostures:
-    """Maps start posture and place to the end posture: a Gaussian process, the sum of a linear part and one that bends.
+    """Maps start posture and place to the end posture: a Gaussian process, the sum of a linear and a bending part.
 
     Attributes:
         human: whose postures they are.
-        seen: (N, 6) what was learned from, as seen from the body: the place reached, and where the hand was first.
-        outcome: (N, D) of the trunk's DoFs end minus start, the pelvis' way seen from the body; of the arm's the end.
-        config: settings.
+        seen: (N, 6) of each reach learned from, as seen from the body: the place, and where the hand was at the start.
+        outcome: (N, D) end minus start of the trunk's DoFs, the pelvis as seen from the body; the end of the arm's.
+        settings: how end postures are learned.
 
     Raises:
         MotionError: arrays that do not fit each other, or nothing learned from.
@@ -93,7 +88,7 @@ class EndPostures:
     human: HumanModel
     seen: FloatArray
     outcome: FloatArray
-    config: EndPosturesConfig
+    settings: EndPosturesSettings
 
     def __post_init__(self) -> None:
         seen = checked("end postures: seen", self.seen, ("N", 6), error=MotionError)
@@ -112,14 +107,14 @@ class EndPostures:
 
     @classmethod
     def learn(
-        cls, postures: Sequence[ArrayLike], human: HumanModel, config: EndPosturesConfig | None = None
+        cls, postures: Sequence[ArrayLike], human: HumanModel, settings: EndPosturesSettings | None = None
     ) -> EndPostures:
         """Learn from reaches (T, D) each, whose ends are taken to be where the hand is farthest from its start.
 
         Raises:
             MotionError: no reaches, or postures of another human.
         """
-        config = config or EndPosturesConfig()
+        settings = settings or EndPosturesSettings()
         seen: list[FloatArray] = []
         outcome: list[FloatArray] = []
         arm = _arm(human)
@@ -136,7 +131,7 @@ class EndPostures:
             row[arm] = _near(human, end, outcome[0] if outcome else end)[arm]
             outcome.append(row)
         n, D = len(seen), len(human.dof_names)
-        return cls(human, np.array(seen).reshape(n, 6), np.array(outcome).reshape(n, D), config)
+        return cls(human, np.array(seen).reshape(n, 6), np.array(outcome).reshape(n, D), settings)
 
     def at(self, start: ArrayLike, place_m: ArrayLike) -> EndPosture:
         """Return the end posture of a reach from a posture (D,) to a place (3,) in the tracker's frame.
@@ -155,8 +150,8 @@ class EndPostures:
         trunk = slice(None, _arm(self.human).start)
         end[trunk] += q[trunk]
         end = _near(self.human, end, q)
-        # What people do where nobody was seen may be anything near: the process's variance, relative to its mean one.
-        unsure = float((self._kernel(x, x) - k @ self._inverse @ k.T)[0, 0]) + self.config.noise
+        # Farther from the reaches seen the process is less certain: its variance, relative to the mean one.
+        unsure = float((self._kernel(x, x) - k @ self._inverse @ k.T)[0, 0]) + self.settings.noise
         turned = np.eye(self._n_dofs)
         turned[:3, :3] = T[:3, :3]
         prior = turned @ self._covariance @ turned.T * (unsure / self._mean_variance)
@@ -170,20 +165,20 @@ class EndPostures:
         self, mean: FloatArray, covariance: FloatArray, place: FloatArray, lower: FloatArray, upper: FloatArray
     ) -> EndPosture:
         """Return the Gaussian given that the hand is at the place: Gauss-Newton, as an iterated Kalman filter."""
-        noise = self.config.place_m**2 * np.eye(3)
+        noise = self.settings.place_m**2 * np.eye(3)
         inverse = np.linalg.inv(covariance)
 
         def cost(q: FloatArray) -> float:
             away, miss = q - mean, place - self._hand_at(q)
-            return float(away @ inverse @ away + miss @ miss / self.config.place_m**2)
+            return float(away @ inverse @ away + miss @ miss / self.settings.place_m**2)
 
         q = np.clip(mean, lower, upper)
         before = cost(q)
-        for _ in range(self.config.n_iterations):
+        for _ in range(self.settings.n_iterations):
             J = self._jacobian(q)
             gain = covariance @ J.T @ np.linalg.inv(J @ covariance @ J.T + noise)
             aim = mean + gain @ (place - self._hand_at(q) - J @ (mean - q))
-            # Far from the place a whole step may overshoot; half of it, or a quarter, does not.
+            # Far from the place a whole step may overshoot; then a half or a quarter is tried.
             for share in _STEP_SHARES:
                 tried = np.clip(q + share * (aim - q), lower, upper)
                 after = cost(tried)
@@ -210,7 +205,7 @@ class EndPostures:
         """Return the covariance (A, B) of the function at a (A, 6) and b (B, 6), in units of the bend's."""
         x, y = a - self._centre, b - self._centre
         square = ((x[:, None] - y) ** 2).sum(axis=2)
-        k: FloatArray = 1.0 + x @ y.T / self.config.slope_m**2 + np.exp(-0.5 * square / self.config.bend_m**2)
+        k: FloatArray = 1.0 + x @ y.T / self.settings.slope_m**2 + np.exp(-0.5 * square / self.settings.bend_m**2)
         return k
 
     @property
@@ -232,7 +227,7 @@ class EndPostures:
     @cached_property
     def _inverse(self) -> FloatArray:
         K = self._kernel(self.seen, self.seen)
-        return np.asarray(np.linalg.inv(K + self.config.noise * np.eye(len(K))), dtype=np.float64)
+        return np.asarray(np.linalg.inv(K + self.settings.noise * np.eye(len(K))), dtype=np.float64)
 
     @cached_property
     def _weights(self) -> FloatArray:
@@ -240,12 +235,12 @@ class EndPostures:
 
     @cached_property
     def _mean_variance(self) -> float:
-        """Variance with which a reach is predicted that was left out, in units of the bend's; mean over all."""
+        """Mean variance with which a reach is predicted that was left out, in units of the bend's."""
         return float((1.0 / np.diag(self._inverse)).mean())
 
     @cached_property
     def _covariance(self) -> FloatArray:
-        """Covariance (D, D) of what was left out, drawn towards its diagonal: few reaches say little about the rest."""
+        """Covariance (D, D) of the leave-one-out errors, shrunk towards its diagonal, as reaches are few."""
         left_out = self._weights / np.diag(self._inverse)[:, None]
         n, D = left_out.shape
         S = left_out.T @ left_out / n
@@ -276,14 +271,14 @@ def continuous(q: FloatArray, human: HumanModel) -> FloatArray:
 
 
 def _arm(human: HumanModel) -> slice:
-    """Return the DoFs beyond the trunk."""
+    """Return the DoFs of the arm, which follow those of the trunk."""
     return slice(int(human.link_joint[human.link_names.index(TRUNK_END)]), None)
 
 
 def _limits(human: HumanModel, start: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the limits (D,) of reaches from a posture (D,), in the turn that its angles are in.
 
-    An angle that may be anything has none, and a tracker may count any angle from 0 to a whole turn.
+    An angle that may be anything has no limits; a tracker may report an angle a whole turn off.
     """
     turns = ~human.joints.slides
     free = turns & (human.upper - human.lower > 2.0 * np.pi - 1e-3)
@@ -301,7 +296,7 @@ def _near(human: HumanModel, q: FloatArray, reference: FloatArray) -> FloatArray
 
 
 def standing(human: HumanModel, q: FloatArray) -> FloatArray:
-    """Return the pose (4, 4) of the body that stands upright and looks where the pelvis does."""
+    """Return the pose (4, 4) of an upright body that looks where the pelvis does."""
     pelvis = human.link_poses(q)[human.link_names.index(BODY)]
     yaw = np.arctan2(pelvis[1, 0], pelvis[0, 0])
     T = np.eye(4)

@@ -1,19 +1,19 @@
-"""How much more costly is the reach so far than the best one to a given place? Told apart by kinds of cost.
+"""By how much does the reach so far cost more than the best reach to a given place, by kinds of cost?
 
-P2 explains a reach by a cost that it keeps low. Then a place is improbable as far as the reach would have been cheaper
-had it been the goal, which is what makes a motion tell its goal (Dragan and Srinivasa 2013 call it legible). The
-reaches of P2's cost are smooth and nearly straight, so what a reach wastes on the way to a place can be read off the
-hand without planning a single one:
+P2 explains a reach by a cost that it keeps low. Then a place is improbable if the reach would have been much cheaper
+with that place as its end, which is what makes a motion legible (Dragan and Srinivasa 2013). The reaches of P2's cost
+are
+smooth and nearly straight, so what a reach spends in excess can be measured on the hand, without planning:
 
-- detour: how much longer the way by here is than the straight one,
+- detour: how much longer the way to the place by here is than the straight one,
 - aside: how far the hand is beside the straight way,
 - beyond: how far it is past the place,
 - heading over 5 and over 15 cm: how far it points elsewhere; less and less so the nearer the place,
 - stopping: how far from the place it slows down, or has turned back,
-- body: how far palm, elbow, shoulder and neck are, all in all, from the whole body's best reach (`best_reaches`).
+- body: how far palm, elbow, shoulder and neck are, summed, from the whole body's best reach (`best_reach`).
 
-Everything is measured on the tracker's points, relative to the reach's own start and its fastest moment so far; where
-the room is, how it is turned and how fast a person moves leaves no trace, up to how a sensor samples it.
+Everything is measured on the tracker's points, relative to the reach's own start and its highest speed so far. The
+room, the direction in it and a person's speed have no influence, except through the sampling of the sensor.
 """
 
 from __future__ import annotations
@@ -28,12 +28,13 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.compiled import exact
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
-from humanpred_ros.reaching.best_reaches import distances_from
-from humanpred_ros.reaching.hand_outliers import ANEW, FOUND, LEFT_OUT, Belief, judged
+from humanpred_ros.reaching.end_postures import EndPostures
+from humanpred_ros.reaching.hand_outliers import OUTLIER, RECOVERED, RESTARTED, HandHistory, judge
 from humanpred_ros.recognition.reach_features import (
     FAR,
     HEADINGS,
     N_FEATURES,
+    POINTS,
     REACHED,
     ReachState,
     advance,
@@ -44,11 +45,11 @@ from humanpred_ros.recognition.reach_features import (
 PARTS = ("detour", "aside", "beyond", "heading_5cm", "heading_15cm", "stopping", "body")
 N_PARTS = len(PARTS)
 BODY = PARTS.index("body")
-#: Beyond this, far off is far off, metres: a lost arm must not outvote all that was seen before.
+#: Distances count up to this, metres, so that a lost arm does not outweigh all that was seen before.
 MOST_M = 0.3
 
-#: Columns of what is known of the reach so far: palm, elbow, shoulder and neck now (once the palm has turned back: when
-#: it was farthest), the palm at its start, headings, how far it has been from the start, and how far it has arrived,
+#: Columns of a row about the reach so far: palm, elbow, shoulder and neck now (once the palm has turned back: when it
+#: was farthest), the palm at its start, headings, how far it has been from the start, and how far it has arrived,
 #: 0 to 1.
 HAND, START, SHORT, LONG, REACHED_M, ARRIVED = 0, 12, 15, 18, 21, 22
 N_COLUMNS = 23
@@ -67,40 +68,47 @@ _TURNED_M = (0.02, 0.06)
 _NEAR_M = 0.05
 
 
+#: Postures along a best reach, both ends included: each point stays within 2 mm of the curve they stand for.
+N_ALONG = 13
+_N_POINTS = len(POINTS)
+_SHARES = np.linspace(0.0, 1.0, N_ALONG)[:, None]
+
+
 class HandState(NamedTuple):
     """What is remembered of the reach under way: a fixed amount, however long it lasts."""
 
-    belief: Belief
-    before: FloatArray  # (2, P, 3) points of the last two postures, believed or not
+    history: HandHistory
+    before: FloatArray  # (2, P, 3) points of the last two postures, outliers or not
     reach: ReachState
     features: FloatArray  # (N_FEATURES,) of `reach_features`
-    palm: FloatArray  # (3,) in the last posture believed, a lost frame forgiven
+    palm: FloatArray  # (3,) in the last posture accepted, a single lost frame ignored
     velocity: FloatArray  # (3,) averaged, m/s
     peak_m_s: FloatArray  # (1,) the highest speed so far
-    last_s: FloatArray  # (1,) stamp of the last posture believed
+    last_s: FloatArray  # (1,) stamp of the last posture accepted
 
     @classmethod
     def fresh(cls) -> HandState:
         """Return the state before the first posture."""
         reach, features = ReachState.fresh(), np.zeros(N_FEATURES)
         before = np.zeros_like(reach.recent)
-        return cls(Belief.fresh(), before, reach, features, np.zeros(3), np.zeros(3), np.zeros(1), np.zeros(1))
+        return cls(HandHistory.fresh(), before, reach, features, np.zeros(3), np.zeros(3), np.zeros(1), np.zeros(1))
 
 
 @exact
 def observe(state: HandState, points: FloatArray, t_s: float, row: FloatArray) -> int:
     """Take the points (P, 3) of one posture: changes `state` in place and fills `row` (N_COLUMNS,).
 
-    Returns what `believing` concludes: a posture LEFT_OUT leaves the row as it was; with ANEW the reach begins here.
+    Returns what `hand_outliers.judge` concludes: an OUTLIER leaves the row as it was; with RESTARTED the reach begins
+    here.
 
     Args:
         state: of the reach so far.
         points: where the links of `reach_features.POINTS` are, tracker's frame.
         t_s: stamp, later than the one before.
-        row: what is known of the reach so far; the same array with every posture of a reach.
+        row: about the reach so far; the same array with every posture of a reach.
     """
-    conclusion = judged(state.belief, points[0], t_s, state.reach.reached_m[0] > _BEGUN_M)
-    if conclusion == FOUND:
+    conclusion = judge(state.history, points[0], t_s, state.reach.reached_m[0] > _BEGUN_M)
+    if conclusion == RECOVERED:
         # The median of three is then of postures since the loss.
         for i in range(len(points)):
             for a in range(3):
@@ -108,9 +116,9 @@ def observe(state: HandState, points: FloatArray, t_s: float, row: FloatArray) -
     for i in range(len(points)):
         for a in range(3):
             state.before[1, i, a], state.before[0, i, a] = state.before[0, i, a], points[i, a]
-    if conclusion == LEFT_OUT:
+    if conclusion == OUTLIER:
         return conclusion
-    if conclusion == ANEW:
+    if conclusion == RESTARTED:
         state.reach.n_seen[0] = 0
         for a in range(3):
             state.velocity[a] = 0.0
@@ -118,7 +126,7 @@ def observe(state: HandState, points: FloatArray, t_s: float, row: FloatArray) -
     first = state.reach.n_seen[0] == 0
     features = state.features
     advance(state.reach, points, features)
-    if not first and conclusion != FOUND:
+    if not first and conclusion != RECOVERED:
         step_s = t_s - state.last_s[0]
         share = 1.0 - np.exp(-step_s / _VELOCITY_S)
         for a in range(3):
@@ -141,7 +149,7 @@ def observe(state: HandState, points: FloatArray, t_s: float, row: FloatArray) -
         row[HAND + i] = features[i] + back * (features[FAR + i] - features[i])
     for a in range(3):
         row[START + a] = state.reach.start[a]
-        # A hand that has stopped heads nowhere, and one on its way back away from its goal.
+        # A hand that has stopped has no heading, and one on its way back heads away from its place.
         row[SHORT + a] = (1.0 - arrived) * features[HEADINGS + 3 * _SHORT_ROPE + a]
         row[LONG + a] = (1.0 - arrived) * features[HEADINGS + 3 * _LONG_ROPE + a]
     row[REACHED_M] = reached
@@ -157,15 +165,15 @@ def _excess(rows: FloatArray, places: FloatArray) -> FloatArray:
         for g in range(len(places)):
             way = straight = ahead = gone = along = short = long = short_size = long_size = 0.0
             for a in range(3):
-                to_goal = places[g, a] - row[HAND + a]
+                to_place = places[g, a] - row[HAND + a]
                 from_start = row[HAND + a] - row[START + a]
                 whole = places[g, a] - row[START + a]
-                ahead += to_goal * to_goal
+                ahead += to_place * to_place
                 gone += from_start * from_start
                 straight += whole * whole
                 along += from_start * whole
-                short += row[SHORT + a] * to_goal
-                long += row[LONG + a] * to_goal
+                short += row[SHORT + a] * to_place
+                long += row[LONG + a] * to_place
                 short_size += row[SHORT + a] ** 2
                 long_size += row[LONG + a] ** 2
             ahead, straight = np.sqrt(ahead), np.sqrt(straight)
@@ -202,8 +210,57 @@ def excess_costs(rows: FloatArray, places_m: FloatArray, best: Sequence[FloatArr
     return costs
 
 
+def best_reach(human: HumanModel, ends: EndPostures, start_q: FloatArray, place_m: FloatArray) -> FloatArray:
+    """Return where palm, elbow, shoulder and neck are along the best reach of the whole body to a place.
+
+    The hand alone is much the same for many places at first; shoulder and neck show earlier whether a person leans or
+    turns. The best reach leads straight, in posture space, from the start to the posture in which reaches to that place
+    end (`end_postures`); how fast it is passed through does not matter here.
+
+    Args:
+        human: whose reach it is.
+        ends: in which posture reaches end.
+        start_q: (D,) the posture it begins in.
+        place_m: (3,) where the palm goes, tracker's frame.
+
+    Returns:
+        (N_ALONG, 12) the coordinates of the four points, one after the other, metres, tracker's frame.
+    """
+    end_q = ends.mean(start_q, place_m)
+    poses = human.link_poses(start_q + _SHARES * (end_q - start_q))
+    points: FloatArray = poses[:, point_links(human)][..., :3, 3].reshape(N_ALONG, -1)
+    return points
+
+
+@exact
+def distances_from(path: FloatArray, points: FloatArray) -> FloatArray:
+    """Return the distances (N,), summed over four points (N, 12), from the nearest moment of a path (K, 12), metres."""
+    out = np.empty(len(points))
+    for n in range(len(points)):
+        nearest, found = np.inf, 0.0
+        for k in range(len(path) - 1):
+            size = ahead = 0.0
+            for i in range(3 * _N_POINTS):
+                step = path[k + 1, i] - path[k, i]
+                size += step * step
+                ahead += step * (points[n, i] - path[k, i])
+            share = min(max(ahead / size, 0.0), 1.0) if size > 0.0 else 0.0
+            squares = total = 0.0
+            for p in range(_N_POINTS):
+                square = 0.0
+                for i in range(3 * p, 3 * p + 3):
+                    away = points[n, i] - path[k, i] - share * (path[k + 1, i] - path[k, i])
+                    square += away * away
+                squares += square
+                total += np.sqrt(square)
+            if squares < nearest:
+                nearest, found = squares, total
+        out[n] = found
+    return out
+
+
 def reach_so_far(motion: Motion, human: HumanModel) -> FloatArray:
-    """Return (T, N_COLUMNS) what is known of a motion's reach after each of its postures.
+    """Return the rows (T, N_COLUMNS) about a motion's reach after each of its postures.
 
     Raises:
         HumanModelError: a motion of another human, or one without the links that are followed.

@@ -1,29 +1,28 @@
-"""How may a reach under way go on, if it goes to a given place? Samples of the rest of it, and of the way back.
+"""Samples how a reach under way goes on, if it goes to a given place, and how it comes back.
 
 The end posture, given the place and what was seen so far, is Gaussian (`EndPostures`, `ReachShape.given`). The most
-probable way there is planned by STOMP, as P2 plans for the human, with the learned cost of reaching and what stands in
-the way; samples differ from it by their end posture and by what people vary in between, and all of them begin in the
-present posture. The same draws serve every update and every place, so predictions do not flicker.
+probable way there is planned by STOMP, as P2 plans for the human, with the learned cost of reaching and the obstacles.
+Samples differ from it by their end posture and by what people vary in between, and all of them begin in the present
+posture. The same draws serve every update and every place, so that predictions do not flicker.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.errors import PlanningError
+from humanpred_ros.errors import SettingsError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.occupancy.sampled_futures import MOST_FUTURES
 from humanpred_ros.reaching.end_postures import EndPosture, standing
 from humanpred_ros.reaching.planner import ReachPlanner, ReachPlannerSettings, unit_deviation
 from humanpred_ros.reaching.posture_bounds import PostureBounds
 from humanpred_ros.reaching.progress import ReachProgress
-from humanpred_ros.reaching.reach_model import ReachModel
-from humanpred_ros.reaching.shape import ReachShape
+from humanpred_ros.reaching.reach_model import ReachModel, ReachShape
 from humanpred_ros.reaching.surroundings import Surroundings
+from humanpred_ros.settings import Settings, setting
 from humanpred_ros.stomp.config import StompConfig
 
 #: STOMP needs some noise for every DoF.
@@ -32,33 +31,27 @@ _LEAST_DURATION_S = 0.1
 _MOST_ENDS = 256
 
 
-@dataclass(frozen=True)
-class ReachFuturesConfig:
-    """How the rest of a reach is sampled.
+class ReachFuturesSettings(Settings):
+    """How the rest of a reach is sampled."""
 
-    Attributes:
-        n_samples: futures for each place, 2 to 32; even, as every draw has its mirror image.
-        step_m: a future has one posture for so much of the straight way of the hand.
-        planned: whether STOMP plans the most probable way; without, it is the straight line and its bow.
-        stomp: how it plans: a short way, from a good guess, needs few waypoints and updates. The noise is not taken
-            from here, but from what people vary.
-        obstacle_weight: of what stands in the way, as in `ImprovedConfig`.
-        seed: of the draws.
-    """
+    n_samples: int = setting(
+        16, "Futures for each place; even, as every draw has its mirror image", low=2, high=MOST_FUTURES
+    )
+    step_m: float = setting(
+        0.06, "A future has one posture for this much of the straight way of the hand", unit="m", low=1e-6
+    )
+    planned: bool = setting(True, "Plan the most probable way by STOMP; else it is the straight line and its bow")
+    # A short way, from a good guess, needs few waypoints and updates.
+    stomp: StompConfig = setting(
+        StompConfig(waypoints=30, iterations=15, rollouts=10, reused=5),
+        "Settings of STOMP; the noise is not taken from here, but from what people vary",
+    )
+    obstacle_weight: float = setting(40.0, "Weight of the obstacles, as in `ImprovedSettings`", low=0.0)
+    seed: int = setting(0, "Seed of the draws", low=0)
 
-    n_samples: int = 16
-    step_m: float = 0.06
-    planned: bool = True
-    stomp: StompConfig = field(default_factory=lambda: StompConfig(waypoints=30, iterations=15, rollouts=10, reused=5))
-    obstacle_weight: float = 40.0
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if not 2 <= self.n_samples <= MOST_FUTURES or self.n_samples % 2 or not 0.0 < self.step_m < np.inf:
-            raise PlanningError(
-                f"reach futures: wanted an even number of samples from 2 to {MOST_FUTURES} and a positive step, got "
-                f"{self.n_samples} and {self.step_m} m"
-            )
+    def check(self) -> None:
+        if self.n_samples % 2:
+            raise SettingsError(f"ReachFuturesSettings n_samples: wanted an even number, got {self.n_samples}")
 
 
 class ReachFutures:
@@ -67,63 +60,63 @@ class ReachFutures:
     Args:
         model: what was learned about reaches.
         weights: (24,) of the features of P2's cost.
-        scene: what stands in the way, in the tracker's frame; nothing if None.
-        config: settings.
+        surroundings: obstacles in the tracker's frame; none if None.
+        settings: how futures are sampled.
 
     Raises:
-        PlanningError: weights that cannot be.
+        PlanningError: negative weights, or an array of another shape.
     """
 
     def __init__(
         self,
         model: ReachModel,
         weights: ArrayLike,
-        scene: Surroundings | None = None,
-        config: ReachFuturesConfig | None = None,
+        surroundings: Surroundings | None = None,
+        settings: ReachFuturesSettings | None = None,
     ) -> None:
         self.model = model
-        self.config = c = config or ReachFuturesConfig()
+        self.settings = s = settings or ReachFuturesSettings()
         human = model.human
-        deviation = np.sqrt(np.diag(model.shape.variation)) / unit_deviation(c.stomp.waypoints)
+        deviation = np.sqrt(np.diag(model.shape.variation)) / unit_deviation(s.stomp.waypoints)
         noise = tuple(np.clip(deviation, _LEAST_NOISE, _MOST_NOISE).tolist())
-        planning = ReachPlannerSettings(stomp=c.stomp.replaced(noise_std=noise), obstacle_weight=c.obstacle_weight)
+        planning = ReachPlannerSettings(stomp=s.stomp.replaced(noise_std=noise), obstacle_weight=s.obstacle_weight)
         bounds = PostureBounds(human.lower, human.upper, np.zeros(len(human.dof_names), dtype=np.bool_))
-        self._planner = ReachPlanner(human, weights, bounds, scene or Surroundings.empty(), planning)
+        self._planner = ReachPlanner(human, weights, bounds, surroundings or Surroundings.empty(), planning)
         self._nobody = self._planner.nobody()
-        half = np.random.default_rng(c.seed).standard_normal((c.n_samples // 2, 3, len(human.dof_names)))
+        half = np.random.default_rng(s.seed).standard_normal((s.n_samples // 2, 3, len(human.dof_names)))
         #: (S, 3, D) draws of end posture, way and posture after the return.
         self._draws = np.concatenate([half, -half])
         # Start and place stay the same while a reach lasts.
         self._end = lru_cache(maxsize=_MOST_ENDS)(self._end_from)
         self._shape = lru_cache(maxsize=_MOST_ENDS)(self._shape_from)
         # Those that return are spread over the draws.
-        order = np.random.default_rng(c.seed).permutation(c.n_samples)
-        returning = round(model.returning * c.n_samples)
+        order = np.random.default_rng(s.seed).permutation(s.n_samples)
+        returning = round(model.returning * s.n_samples)
         self._returns, self._stays = order[:returning], order[returning:]
 
     def towards(self, progress: ReachProgress, place_m: FloatArray) -> FloatArray:
         """Return futures (S, N, D) of a reach under way, if it goes to the place (3,): all equally probable.
 
-        A hand that has turned back comes from there, wherever that was; the place then counts no more.
+        For a hand that has turned back these are ways back; the place is then not used.
         """
         start, now = progress.start_posture, progress.posture
         way_m = float(np.linalg.norm(place_m - progress.start_hand_m))
         if progress.turned:
-            return self._back(progress, np.repeat(progress.apex[None], self.config.n_samples, axis=0))
+            return self._back(progress, np.repeat(progress.apex[None], self.settings.n_samples, axis=0))
         done = progress.way_to(place_m)
         end = self._given(progress, place_m, done, way_m)
         ends = end.mean + self._draws[:, 0] @ _root(end.covariance).T
         n = self._n_postures(float(np.linalg.norm(place_m - progress.hand_m)))
         share = np.linspace(done, 1.0, n)
         out = self._from_now(now, start, ends, share, way_m)
-        if self.config.planned and done < 1.0:
+        if self.settings.planned and done < 1.0:
             out += self._planned(start, now, end, share, way_m)
         return self._with_return(progress, out, ends, way_m)
 
     def towards_each(self, progress: ReachProgress, places_m: FloatArray) -> FloatArray:
-        """Return futures (K, N, D) of a reach under way, not yet turned back, one to each of up to S places (K, 3).
+        """Return futures (K, N, D) of a reach that has not turned back, one to each of up to S places (K, 3).
 
-        Of places that stand for a region. STOMP does not plan them: none of the ways is likely to be the one.
+        For places that stand for a region. STOMP does not plan these: none of the ways is likely to be the one.
         """
         start, now = progress.start_posture, progress.posture
         way_m = np.linalg.norm(places_m - progress.start_hand_m, axis=1)
@@ -154,11 +147,11 @@ class ReachFutures:
     def _with_return(
         self, progress: ReachProgress, out: FloatArray, ends: FloatArray, way_m: float | FloatArray
     ) -> FloatArray:
-        """Return the futures and then, if people come back, the ways back of as many as do."""
+        """Return the futures, followed by the ways back of the share that comes back."""
         if not len(self._returns):
             return out
         back = self._back(progress, ends, way_m)
-        # Those that stay repeat where they are.
+        # Those that stay repeat their last posture.
         stays = self._stays[self._stays < len(ends)]
         back[stays] = ends[stays, None]
         return np.concatenate([out, back], axis=1)
@@ -206,21 +199,21 @@ class ReachFutures:
     def _planned(
         self, start: FloatArray, now: FloatArray, end: EndPosture, share: FloatArray, way_m: float
     ) -> FloatArray:
-        """Return by how much the planned way (N, D) differs from the one it began with, at shares (N,)."""
-        n = self.config.stomp.waypoints
+        """Return the difference (N, D) of the planned way from the first guess, at shares (N,)."""
+        n = self.settings.stomp.waypoints
         evenly = np.linspace(share[0], 1.0, n)
         guess = self._shape(start.tobytes())[0].bow_at(evenly, way_m)
         first = guess[0].copy()
         left = (1.0 - evenly) / (1.0 - evenly[0])
         guess = guess + left[:, None] * (now - first) + (1.0 - left)[:, None] * end.mean
         duration_s = max((1.0 - share[0]) * way_m * self.model.pace_s_m, _LEAST_DURATION_S)
-        rng = np.random.default_rng(self.config.seed)
+        rng = np.random.default_rng(self.settings.seed)
         reach = self._planner.plan(now, end.mean, duration_s, self._nobody, rng, initial=guess)
         difference = reach.q - guess
         return np.stack([np.interp(share, evenly, column) for column in difference.T], axis=1)
 
     def _n_postures(self, way_m: float) -> int:
-        return 2 + int(np.ceil(way_m / self.config.step_m))
+        return 2 + int(np.ceil(way_m / self.settings.step_m))
 
 
 def _root(covariance: FloatArray) -> FloatArray:

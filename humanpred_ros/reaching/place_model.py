@@ -1,65 +1,66 @@
-"""What goal inference has learned, as one small immutable object, and what it concludes from a reach so far.
+"""How to tell for which place a person reaches: weights of the parts of the excess cost, and how they are learned.
 
-P(goal | reach so far) is the prior times exp(-weighted excess cost), normalised: people are taken to make a detour the
-more rarely the longer it is, which is the maximum-entropy distribution of P2's learning (P2 eq. 3, there over whole
-trajectories). That none of the places is the goal shows in others, nobody told of (`untold`), being better goals: the
-odds of that are the prior ones times the ratio of the mean likelihoods, and nothing about it needs learning.
+P(place | reach so far) is the prior times exp(-weighted excess cost), normalised: people make a detour the more rarely
+the longer it is, which is the maximum-entropy distribution of P2's learning (P2 eq. 3, there over whole trajectories).
+A reach to none of the places shows in unlisted places (`unlisted_places`) being better ones: the odds are the prior
+odds times the ratio of the mean likelihoods, and need no learning.
+
+The weights are learned from reaches whose places are known, as those under which the true places are most probable
+among the others (a conditional logit, the maximum-entropy model of choice). None is negative, and all are pulled
+towards fixed prior weights, so that a handful of motions is enough: the pull is a Gaussian prior as wide as the prior
+weights are large, and a motion counts once, however many of its postures are looked at.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from humanpred_ros.errors import ArrayError, UsageError
+from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.motion import Motion, MotionLibrary, unwrap_angles
 from humanpred_ros.reaching.end_postures import EndPostures
-from humanpred_ros.reaching.excess_cost import N_PARTS, excess_costs
-from humanpred_ros.reaching.unlisted_places import UntoldPlaces
+from humanpred_ros.reaching.excess_cost import N_PARTS, best_reach, chosen_postures, excess_costs, reach_so_far
+from humanpred_ros.reaching.places import Places, ReachEnd, reach_ends, reaching_for, typical_end
+from humanpred_ros.reaching.unlisted_places import UnlistedPlaces
+from humanpred_ros.recognition.reach_features import N_START
+from humanpred_ros.settings import Settings, setting
 
-#: Of the weights before anything is learned, in the order of `PARTS`: a decimetre makes a goal e times less probable,
-#: and so does pointing 60 degrees elsewhere.
+#: Weights before anything is learned, in the order of `PARTS`: a decimetre makes a place e times less probable, and so
+#: does pointing 60 degrees elsewhere.
 PRIOR_WEIGHTS = np.array([10.0, 10.0, 10.0, 2.0, 2.0, 10.0, 10.0])
-#: Never quite sure that it is none of the places, nor that it is one of them, so that all shares stay defined.
+#: The log odds of "none of the places" are limited, so that all shares stay positive.
 _MOST_LOG_ODDS = 20.0
 
 
-@dataclass(frozen=True)
-class GoalConfig:
-    """How goals are learned and inferred.
+class PlaceSettings(Settings):
+    """How places are learned and inferred."""
 
-    Attributes:
-        unknown_prior: how often a reach goes to none of the places, before anything is seen. A judgement, not learned,
-            and the same as the reach forest's.
-        n_postures: postures of each motion that are learned from, evenly spaced.
-        apart_m: places nearer to each other than this are not told apart: people are no more exact. Neither in
-            learning nor as one that was told and one that was not.
-    """
-
-    unknown_prior: float = 0.2
-    n_postures: int = 20
-    apart_m: float = 0.1
-
-    def __post_init__(self) -> None:
-        if not 0 < self.unknown_prior < 1:
-            raise UsageError(f"goals: wanted unknown_prior between 0 and 1, got {self.unknown_prior}")
-        if self.n_postures < 2:
-            raise UsageError(f"goals: wanted n_postures of at least 2, got {self.n_postures}")
-        if not 0 <= self.apart_m < np.inf:
-            raise UsageError(f"goals: wanted apart_m finite and not negative, got {self.apart_m}")
+    unknown_prior: float = setting(
+        0.2,
+        "Probability, before anything is seen, that a reach goes to none of the places; a judgement, not learned",
+        low=1e-6,
+        high=1.0 - 1e-6,
+    )
+    n_postures: int = setting(20, "Postures of each motion that are learned from, evenly spaced", low=2)
+    apart_m: float = setting(
+        0.1, "Places nearer to each other than this are not told apart: people are no more exact", unit="m", low=0.0
+    )
 
 
 @dataclass(frozen=True, eq=False)
-class GoalModel:
+class PlaceModel:
     """How much the parts of the excess cost count.
 
     Attributes:
-        weights: (N_PARTS,) not negative, of `PARTS`: 1/m, but the headings', which have no unit.
+        weights: (N_PARTS,) not negative, of `PARTS`: 1/m, but no unit for the headings.
         n_motions: how many motions were learned from; 0 if the weights are the prior ones.
-        ends: in which posture reaches end, which makes best reaches of the whole body known; None if unknown.
+        ends: in which posture reaches end, from which best reaches of the whole body follow; None if unknown.
 
     Raises:
         ArrayError: wrong shape, not finite, or of the wrong sign.
@@ -70,13 +71,13 @@ class GoalModel:
     ends: EndPostures | None = None
 
     def __post_init__(self) -> None:
-        weights = checked("goal weights", self.weights, (N_PARTS,))
+        weights = checked("place weights", self.weights, (N_PARTS,))
         if (weights < 0).any():
-            raise ArrayError(f"goal weights: wanted none negative, got {weights}; excess costs cannot be gains")
+            raise ArrayError(f"place weights: wanted none negative, got {weights}; excess costs cannot be gains")
         object.__setattr__(self, "weights", frozen(weights))
 
     @classmethod
-    def prior(cls) -> GoalModel:
+    def prior(cls) -> PlaceModel:
         """Return the model before anything is learned; usable, and not far from what libraries teach."""
         return cls(PRIOR_WEIGHTS)
 
@@ -88,20 +89,160 @@ class GoalModel:
         return log_likelihood
 
     @cached_property
-    def untold(self) -> UntoldPlaces | None:
-        """Where hands go that nobody told of; None if it is not known where they go at all."""
-        return None if self.ends is None else UntoldPlaces.around_ends(self.ends)
+    def unlisted(self) -> UnlistedPlaces | None:
+        """Where hands go besides the listed places; None if it is not known where they go at all."""
+        return None if self.ends is None else UnlistedPlaces.around_ends(self.ends)
 
 
-def unknown_probability(told: FloatArray, untold: FloatArray, prior: float) -> float:
-    """Return P(none of the told places | reach so far).
+def unknown_probability(listed: FloatArray, unlisted: FloatArray, prior: float) -> float:
+    """Return P(none of the listed places | reach so far).
 
     Args:
-        told: (G,) ln of P(place) P(reach so far | place) of the places told, given that it is one of them.
-        untold: (M,) the same of places that stand for all others, given that it is one of those; may be none.
-        prior: probability that it is none of the told ones, before anything was seen.
+        listed: (G,) ln of P(place) P(reach so far | place) of the listed places, given that it is one of them.
+        unlisted: (M,) the same of the unlisted places, given that it is one of those; may be none.
+        prior: probability that it is none of the listed ones, before anything was seen.
     """
     log_odds = -_MOST_LOG_ODDS
-    if len(untold):
-        log_odds = float(np.log(prior / (1.0 - prior)) + np.logaddexp.reduce(untold) - np.logaddexp.reduce(told))
+    if len(unlisted):
+        log_odds = float(np.log(prior / (1.0 - prior)) + np.logaddexp.reduce(unlisted) - np.logaddexp.reduce(listed))
     return float(1.0 / (1.0 + np.exp(-np.clip(log_odds, -_MOST_LOG_ODDS, _MOST_LOG_ODDS))))
+
+
+@dataclass(frozen=True, eq=False)
+class ReachLesson:
+    """What there is to learn from one motion.
+
+    Attributes:
+        end: where it went.
+        rows: (n, N_COLUMNS) of `excess_cost`, at evenly spaced postures.
+        q: (T, D) all its postures, angles continuous.
+    """
+
+    end: ReachEnd
+    rows: FloatArray
+    q: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rows", frozen(self.rows))
+
+
+def reach_lessons(library: MotionLibrary, human: HumanModel, settings: PlaceSettings) -> tuple[ReachLesson, ...]:
+    """Return a lesson for each motion of a library, in its order.
+
+    Raises:
+        HumanModelError: a library of another human.
+    """
+    return tuple(
+        ReachLesson(
+            end,
+            reach_so_far(motion, human)[chosen_postures(len(motion), settings.n_postures)],
+            unwrap_angles(motion).q,
+        )
+        for motion, end in zip(library, reach_ends(library, human), strict=True)
+    )
+
+
+def learn_place_model(
+    motions: Iterable[Motion],
+    human: HumanModel,
+    places: Places | None = None,
+    settings: PlaceSettings | None = None,
+    ends: EndPostures | None = None,
+) -> PlaceModel:
+    """Return the model that follows from motions with known places.
+
+    Args:
+        motions: reaches, with or without the way back; those without a label, or with one that has no place, are
+            left out. Mistracked ones count: the tracker will lose arms in use, too.
+        human: whose motions they are.
+        places: of the labels; if None, where each class's motions go, the learned one not counted.
+        settings: how to learn.
+        ends: in which posture reaches end; if None, learned from the same motions.
+
+    Raises:
+        HumanModelError: motions of another human.
+        LibraryFormatError: two motions of the same name, or mixed DoFs.
+    """
+    settings = settings or PlaceSettings()
+    labelled = tuple(motion for motion in motions if motion.label is not None)
+    if not labelled:
+        return PlaceModel.prior()
+    lessons = reach_lessons(MotionLibrary("reaches", labelled), human, settings)
+    return fit_place_model(lessons, human, settings, places, ends)
+
+
+def fit_place_model(
+    lessons: Sequence[ReachLesson],
+    human: HumanModel,
+    settings: PlaceSettings,
+    places: Places | None = None,
+    ends: EndPostures | None = None,
+    *,
+    without: Collection[int] = (),
+) -> PlaceModel:
+    """Return the model that follows from lessons; the prior one where there is nothing to tell apart.
+
+    Nothing is learned of the labels in `without`, nor from motions mislabelled that end there, nor are they
+    alternatives; the rest as `learn_place_model`.
+    """
+    strayed = reaching_for([lesson.end for lesson in lessons], without)
+    used = [lesson for lesson in lessons if lesson.end.label is not None and lesson.end.name not in strayed]
+    own_ends = [lesson.end for lesson in used]
+    known = places.by_label if places is not None else Places.of_ends(own_ends).by_label if own_ends else {}
+    known = {label: place for label, place in known.items() if places is None or label not in without}
+    if not known:
+        return PlaceModel.prior()
+    if ends is None:
+        tracked = [lesson.q for lesson in used if lesson.end.tracked] or [lesson.q for lesson in used]
+        ends = EndPostures.learn(tracked, human)
+    choices = []
+    for lesson in used:
+        label = lesson.end.label
+        if label is None or label not in known:
+            continue
+        # A motion's own end would make its place too easy to find.
+        others = [other for other in own_ends if other.label == label and other.name != lesson.end.name]
+        true_m = typical_end(others or [lesson.end]) if places is None else known[label]
+        alternatives = np.array([place for other, place in known.items() if other != label]).reshape(-1, 3)
+        apart = np.linalg.norm(alternatives - true_m, axis=1) >= settings.apart_m
+        if apart.any():
+            offered = np.vstack([true_m, alternatives[apart]])
+            start_q = np.median(lesson.q[:N_START], axis=0)
+            best = [best_reach(human, ends, start_q, place) for place in offered]
+            choices.append(excess_costs(lesson.rows, offered, best))
+    if not choices:
+        return PlaceModel.prior()
+    return PlaceModel(_fit_weights(choices), len(choices), ends)
+
+
+def _fit_weights(choices: Sequence[FloatArray]) -> FloatArray:
+    """Return the most probable weights (N_PARTS,) of choices (n, G, N_PARTS) of excess costs, the chosen place first.
+
+    Choices among equally many places are put into one array, so that each number is one product.
+    """
+    from scipy.optimize import minimize  # only learning needs it
+
+    by_size: dict[int, list[FloatArray]] = {}
+    for costs in choices:
+        # Only what the others cost more than the true one counts.
+        more = costs[:, 1:] - costs[:, :1]
+        by_size.setdefault(more.shape[1], []).append(more)
+    groups = [
+        (np.concatenate(group), np.concatenate([np.full(len(more), 1.0 / len(more)) for more in group]))
+        for group in by_size.values()
+    ]
+
+    def loss(weights: FloatArray) -> tuple[float, FloatArray]:
+        pull = (weights - PRIOR_WEIGHTS) / PRIOR_WEIGHTS
+        total, gradient = 0.5 * float(pull @ pull), pull / PRIOR_WEIGHTS
+        for more, share in groups:
+            # -ln P(true) = ln(1 + sum exp(-more)); costs are bounded, so nothing overflows.
+            others = np.exp(-(more @ weights))
+            whole = 1.0 + others.sum(axis=1)
+            total += float(share @ np.log(whole))
+            gradient = gradient - np.einsum("n,ng,ngk->k", share / whole, others, more)
+        return total, gradient
+
+    bounds = [(0.0, None)] * N_PARTS
+    found: NDArray[np.float64] = minimize(loss, PRIOR_WEIGHTS, jac=True, method="L-BFGS-B", bounds=bounds).x
+    return found

@@ -1,19 +1,20 @@
-"""Where a hand may be going: the places that goal inference weighs against each other, each known by a label.
+"""Places a hand may go to, each known by a label, and where the motions of a library ended.
 
-A place is a point in the tracker's frame. It may come from a robot's scene, or from a library: where the motions of a
-class have their farthest palm. People hit a place within a few centimetres, and trackers lose arms, so a class's place
-is a median, and motions that are plainly mistracked or mislabelled have no say.
+A place is a point in the tracker's frame. It comes from a parameter, from a scene, or from a library: where the motions
+of a class have their farthest palm. People hit a place within a few centimetres, and trackers lose arms, so a class's
+place is a median, and motions that are mistracked or mislabelled are not counted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.errors import ArrayError, LibraryFormatError, UsageError
+from humanpred_ros.errors import ArrayError, HumanPredError, LibraryFormatError, UsageError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.cleaning import DROP_REASONS, flag_library
@@ -21,7 +22,7 @@ from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.reaching.excess_cost import farthest_palm
 from humanpred_ros.recognition.reach_features import point_links
 
-#: How much farther than the arm is long somebody gets by leaning, turning and stepping, metres. In both of P1's
+#: How much farther than the length of the arm people get by leaning, turning and stepping, metres. In both of P1's
 #: libraries no place is more than 0.63 m farther from the shoulder at the start than the arm is long.
 LEAN_M = 0.7
 _RIGID_TOLERANCE = 1e-6
@@ -31,7 +32,7 @@ _FARTHEST_M, _LARGEST_LABEL = 1000.0, 2**24
 
 @dataclass(frozen=True)
 class OutOfReach:
-    """A place nobody gets to from where this person stands.
+    """A place that a person cannot get to from where the person stands.
 
     Attributes:
         label: of the place.
@@ -45,21 +46,21 @@ class OutOfReach:
 
     def __str__(self) -> str:
         return (
-            f"goal {self.label} is {self.distance_m:.2f} m from the right shoulder, out of reach: this person gets "
+            f"place {self.label} is {self.distance_m:.2f} m from the right shoulder, out of reach: this person gets "
             f"{self.limit_m:.2f} m far; check the place and the frame it is in"
         )
 
 
 @dataclass(frozen=True, eq=False)
-class GoalPlaces:
-    """Places of the hand that somebody may reach for: immutable.
+class Places:
+    """Places of the palm that a person may reach for: immutable.
 
     Attributes:
         labels: G different labels, as those of a library's classes.
         places_m: (G, 3) where the palm goes, tracker's frame.
 
     Raises:
-        UsageError: no place, a label given twice, or numbers no room has.
+        UsageError: no place, a label given twice, or numbers that no room has.
         ArrayError: wrong shape, or places that are not finite.
     """
 
@@ -69,63 +70,52 @@ class GoalPlaces:
     def __post_init__(self) -> None:
         labels = tuple(int(label) for label in self.labels)
         if not labels:
-            raise UsageError("goal places: wanted at least one, got none; give places, or do not infer goals")
+            raise UsageError("places: wanted at least one, got none; give places, or do not infer them")
         twice = sorted({label for label in labels if labels.count(label) > 1})
         if twice:
             raise UsageError(
-                f"goal places: wanted every label once, got {', '.join(map(str, twice))} more often; "
+                f"places: wanted every label once, got {', '.join(map(str, twice))} more often; "
                 "name each place differently"
             )
-        places = checked("goal places", self.places_m, (len(labels), 3))
+        places = checked("places", self.places_m, (len(labels), 3))
         for label, place in zip(labels, places, strict=True):
             if abs(label) > _LARGEST_LABEL or np.abs(place).max() > _FARTHEST_M:
                 raise UsageError(
-                    f"goal places: wanted labels up to {_LARGEST_LABEL} and places within {_FARTHEST_M:g} m, got "
+                    f"places: wanted labels up to {_LARGEST_LABEL} and places within {_FARTHEST_M:g} m, got "
                     f"{label!s:.20} at {place.tolist()}; check the units"
                 )
         object.__setattr__(self, "labels", labels)
         object.__setattr__(self, "places_m", frozen(places))
 
+    @classmethod
+    def of(cls, places: Mapping[int, ArrayLike]) -> Places:
+        """Return places given as (3,) by label."""
+        return cls(tuple(places), np.array(list(places.values()), dtype=np.float64))
+
     def __len__(self) -> int:
         return len(self.labels)
 
-    def place(self, label: int) -> FloatArray:
-        """Return the place (3,) of a label (UsageError if there is none)."""
-        self._check_known(label)
-        place: FloatArray = self.places_m[self.labels.index(label)]
-        return place
+    @property
+    def by_label(self) -> dict[int, FloatArray]:
+        """(3,) places by label."""
+        return dict(zip(self.labels, self.places_m, strict=True))
 
-    def with_goal(self, label: int, place_m: ArrayLike) -> GoalPlaces:
-        """Return these and one more, or the place (3,) of a known label changed."""
-        place = checked(f"place of goal {label}", place_m, (3,))
-        if label in self.labels:
-            places = np.array(self.places_m)
-            places[self.labels.index(label)] = place
-            return GoalPlaces(self.labels, places)
-        return GoalPlaces((*self.labels, label), np.vstack([self.places_m, place]))
-
-    def without(self, label: int) -> GoalPlaces:
-        """Return all but one (UsageError if there is no such label, or nothing would be left)."""
-        self._check_known(label)
-        kept = [k for k, other in enumerate(self.labels) if other != label]
-        return GoalPlaces(tuple(self.labels[k] for k in kept), self.places_m[kept])
-
-    def moved(self, T: ArrayLike) -> GoalPlaces:
-        """Return them moved by a rigid transform (4, 4), as into another frame (ArrayError if it is none)."""
-        T = checked("transform of goal places", T, (4, 4))
+    def moved(self, T: ArrayLike) -> Places:
+        """Return them moved by a rigid transform (4, 4), as into another frame (ArrayError if it is not rigid)."""
+        T = checked("transform of places", T, (4, 4))
         R = T[:3, :3]
         rigid = np.abs(R @ R.T - np.eye(3)).max() < _RIGID_TOLERANCE and np.linalg.det(R) > 0
         if not rigid or (T[3] != (0.0, 0.0, 0.0, 1.0)).any():
-            raise ArrayError(f"transform of goal places: wanted a rotation and a translation, got {T.tolist()}")
-        return GoalPlaces(self.labels, self.places_m @ R.T + T[:3, 3])
+            raise ArrayError(f"transform of places: wanted a rotation and a translation, got {T.tolist()}")
+        return Places(self.labels, self.places_m @ R.T + T[:3, 3])
 
     def out_of_reach(self, human: HumanModel, q: ArrayLike, lean_m: float = LEAN_M) -> tuple[OutOfReach, ...]:
-        """Return the places that somebody does not get to who stands in posture (D,).
+        """Return the places that a person in posture (D,) cannot get to.
 
         Args:
             human: whose posture it is.
             q: usually the first of a reach.
-            lean_m: how much farther than the arm is long people get by leaning and stepping.
+            lean_m: how much farther than the length of the arm people get by leaning and stepping.
 
         Raises:
             HumanModelError: a posture of another human, or one without a right arm.
@@ -140,13 +130,13 @@ class GoalPlaces:
         )
 
     @classmethod
-    def of_library(cls, library: MotionLibrary, human: HumanModel, *, without_motion: str | None = None) -> GoalPlaces:
+    def of_library(cls, library: MotionLibrary, human: HumanModel, *, without_motion: str | None = None) -> Places:
         """Return one place for each class of a library: where its motions have their farthest palm.
 
         Args:
-            library: of this human; motions without a label do not count.
+            library: of this human; motions without a label are not counted.
             human: whose right palm it is.
-            without_motion: a motion (`class/index`) that has no say, as one that shall be tested.
+            without_motion: a motion (`class/index`) that is not counted, as one that is to be tested.
 
         Raises:
             LibraryFormatError: no labelled motions, or a class whose only motion is left out.
@@ -157,23 +147,67 @@ class GoalPlaces:
         return cls.of_ends(reach_ends(library, human), without_motion=left_out)
 
     @classmethod
-    def of_ends(cls, ends: Sequence[ReachEnd], *, without_motion: str | None = None) -> GoalPlaces:
+    def of_ends(cls, ends: Sequence[ReachEnd], *, without_motion: str | None = None) -> Places:
         """Return one place for each label among ends of reaches; as `of_library`."""
         labels = sorted({end.label for end in ends if end.label is not None})
         if not labels:
-            raise LibraryFormatError("goal places: wanted motions with a label, got none; label them or give places")
+            raise LibraryFormatError("places: wanted motions with a label, got none; label them or give places")
         by_label = {c: [end for end in ends if end.label == c and end.name != without_motion] for c in labels}
         for label, found in by_label.items():
             if not found:
                 raise LibraryFormatError(
-                    f"goal places: wanted a motion that shows where goal {label} is, got only {without_motion}, which "
-                    "is left out; record more or give the goal's place"
+                    f"places: wanted a motion that shows where place {label} is, got only {without_motion}, which "
+                    "is left out; record more or give the place"
                 )
         return cls(tuple(labels), np.array([typical_end(found) for found in by_label.values()]))
 
-    def _check_known(self, label: int) -> None:
-        if label not in self.labels:
-            raise UsageError(f"goal places: wanted one of the labels {', '.join(map(str, self.labels))}, got {label}")
+
+def places_from_text(entries: Sequence[str], T_world_human: FloatArray) -> Places | None:
+    """Return the places of entries `label x y z` (a whole number, metres in the world frame); None if there are none.
+
+    Empty entries are ignored: ROS has no empty list of texts.
+
+    Args:
+        entries: any number.
+        T_world_human: (4, 4) from the tracker's frame to the world; the result is in the tracker's.
+
+    Raises:
+        UsageError: an entry that is something else, or a label used twice.
+    """
+    found = [_read(entry) for entry in entries if entry.strip()]
+    labels = tuple(label for label, _ in found)
+    return (
+        Places(labels, np.array([place for _, place in found])).moved(np.linalg.inv(T_world_human)) if found else None
+    )
+
+
+def places_in_world(places: Mapping[int, ArrayLike], T_world_human: FloatArray) -> Places | None:
+    """Return places (3,) by label in the world frame, as a scene gives them, in the tracker's; None if there are none.
+
+    Raises:
+        UsageError: places that cannot be.
+    """
+    if not places:
+        return None
+    try:
+        return Places.of(places).moved(np.linalg.inv(T_world_human))
+    except HumanPredError as trouble:
+        raise UsageError(str(trouble)) from trouble
+
+
+def _read(entry: str) -> tuple[int, FloatArray]:
+    try:
+        label, *place = entry.split()
+        x, y, z = (float(number) for number in place)
+        # Python reads 1_0 as 10, which is more likely a typing error.
+        if "_" in entry or not all(map(math.isfinite, (x, y, z))):
+            raise ValueError
+        return int(label), np.array([x, y, z])
+    except ValueError:
+        raise UsageError(
+            f"place: wanted 'label x y z', a whole number and the palm's place in metres in the world frame, as in "
+            f"'3 -0.22 -0.67 0.80', got {entry!r:.80}"
+        ) from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +218,7 @@ class ReachEnd:
         name: of the motion, `class/index`.
         label: its class, None if it has none.
         place_m: (3,) tracker's frame.
-        tracked: False if the motion is plainly mistracked or mislabelled (`motion.cleaning`).
+        tracked: False if the motion is mistracked or mislabelled (`motion.cleaning`).
     """
 
     name: str
@@ -194,7 +228,7 @@ class ReachEnd:
 
 
 def reach_ends(library: MotionLibrary, human: HumanModel) -> tuple[ReachEnd, ...]:
-    """Return where each motion's palm was farthest from its start, a lost arm forgiven, in the library's order.
+    """Return where each motion's palm was farthest from its start, outliers left out, in the library's order.
 
     Raises:
         HumanModelError: a library of another human.
@@ -209,13 +243,13 @@ def reach_ends(library: MotionLibrary, human: HumanModel) -> tuple[ReachEnd, ...
 def reaching_for(ends: Sequence[ReachEnd], labels: Collection[int]) -> frozenset[str]:
     """Return the names of motions of these labels, and of those that end nearer to their places than to their own.
 
-    What must not have been seen by somebody who is said to know nothing of a class: labels may be wrong.
+    A predictor that must know nothing of a class must not learn from these, since labels may be wrong.
     """
-    ofs: dict[int, list[ReachEnd]] = {}
+    by_label: dict[int, list[ReachEnd]] = {}
     for end in ends:
         if end.label is not None:
-            ofs.setdefault(end.label, []).append(end)
-    places = {label: typical_end(group) for label, group in ofs.items()}
+            by_label.setdefault(end.label, []).append(end)
+    places = {label: typical_end(group) for label, group in by_label.items()}
     found = set()
     for end in ends:
         distance = {label: float(np.linalg.norm(end.place_m - place)) for label, place in places.items()}
@@ -226,7 +260,7 @@ def reaching_for(ends: Sequence[ReachEnd], labels: Collection[int]) -> frozenset
 
 
 def mistracked(library: MotionLibrary, human: HumanModel) -> Collection[str]:
-    """Return the names of motions that are plainly mistracked or mislabelled."""
+    """Return the names of motions that are mistracked or mislabelled."""
     return frozenset(flag.motion for flag in flag_library(library, model=human) if flag.reason in DROP_REASONS)
 
 

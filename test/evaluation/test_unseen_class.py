@@ -12,7 +12,7 @@ from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.motion.placement import turn_and_shift
-from humanpred_ros.reaching.places import GoalPlaces
+from humanpred_ros.reaching.places import Places
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
 
 HUMAN = HumanModel.kinect12()
@@ -53,14 +53,14 @@ def test_no_motion_of_the_class_is_learned_from() -> None:
 def test_the_motion_left_out_says_nothing_about_its_place() -> None:
     moved = tuple(m.with_postures(m.q + 0.2) if m.name == LEFT_OUT else m for m in library())
     a, b = folds_of(library()).without(LEFT_OUT), folds_of(MotionLibrary("small", moved)).without(LEFT_OUT)
-    np.testing.assert_array_equal(a.goals.places_m, b.goals.places_m)
+    np.testing.assert_array_equal(a.places[10], b.places[10])
     np.testing.assert_array_equal(played(a), played(b))
 
 
 def test_the_class_has_its_place_among_the_others() -> None:
-    goals = folds_of(library()).without(LEFT_OUT).goals
+    goals = Places.of(folds_of(library()).without(LEFT_OUT).places)
     assert goals.labels == (0, 10, 20)
-    own = GoalPlaces.of_library(library(), HUMAN, without_motion=LEFT_OUT)
+    own = Places.of_library(library(), HUMAN, without_motion=LEFT_OUT)
     np.testing.assert_allclose(goals.places_m, own.places_m)
 
 
@@ -73,5 +73,7 @@ def test_a_motion_that_was_never_in_the_library_has_its_class_left_out_too() -> 
 
 def test_places_are_told_where_the_tested_people_stand() -> None:
     T = turn_and_shift(0.3, (0.5, 0.1, 0.0))
-    here = folds_of(library()).without(LEFT_OUT).goals
-    np.testing.assert_allclose(folds_of(library(), T).without(LEFT_OUT).goals.places_m, here.moved(T).places_m)
+    here = Places.of(folds_of(library()).without(LEFT_OUT).places)
+    np.testing.assert_allclose(
+        Places.of(folds_of(library(), T).without(LEFT_OUT).places).places_m, here.moved(T).places_m
+    )

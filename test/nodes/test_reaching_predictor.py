@@ -16,7 +16,7 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.reaching.places import GoalPlaces
+from humanpred_ros.reaching.places import Places
 from humanpred_ros.viewing.run import read_run
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
@@ -37,14 +37,14 @@ def test_a_place_that_is_told_while_the_person_is_on_the_way_is_found(tmp_path: 
     shipped, human = load_library(SHIPPED), HumanModel.kinect12()
     learned = some_of(shipped, set(shipped.labels) - {UNKNOWN}, 4)
     library = write_library_bag(learned, tmp_path / "learned")
-    places = GoalPlaces.of_library(shipped, human)
-    two = GoalPlaces((1, 5), np.array([places.place(1), places.place(5)]))
-    three = two.with_goal(NEW_LABEL, places.place(UNKNOWN))
+    places = Places.of_library(shipped, human)
+    two = Places.of({label: places.by_label[label] for label in (1, 5)})
+    three = Places.of({**two.by_label, NEW_LABEL: places.by_label[UNKNOWN]})
     parameters = {"library": str(library), "places": goal_texts(two)}
     with PredictorClient(tmp_path, parameters, stop_after=20) as client:
         tracker = client.replay(SHIPPED, f"{UNKNOWN}/2")
         client.wait(lambda: len(client.posteriors) == 20, "the first answers", timeout_s=60.0)
-        client.set_goals(three)
+        client.set_places(three)
         client.go_on()
         client.wait_for_end(tracker)
     motion = shipped.find(f"{UNKNOWN}/2")
@@ -69,7 +69,7 @@ def test_places_are_changed_refused_and_warned_about(tmp_path: Path) -> None:
     shipped = load_library(SHIPPED)
     learned = some_of(shipped, {0, 4}, 3)
     library = write_library_bag(learned, tmp_path / "learned")
-    own = GoalPlaces.of_library(learned, HumanModel.kinect12())
+    own = Places.of_library(learned, HumanModel.kinect12())
     with PredictorClient(tmp_path, {"library": str(library)}, stop_after=1) as client:
         tracker = client.replay(SHIPPED, "4/5")
         client.wait(lambda: bool(client.posteriors), "an answer", timeout_s=60.0)
@@ -82,24 +82,24 @@ def test_places_are_changed_refused_and_warned_about(tmp_path: Path) -> None:
             assert "wanted 'label x y z'" in reason
             assert entry in reason
         assert not client.set_parameter("reach_weights", "baseline_0")[0], "all else is read-only"
-        client.set_goals(own.with_goal(9, [6.0, 0.0, 1.0]))
+        client.set_places(Places.of({**own.by_label, 9: [6.0, 0.0, 1.0]}))
         client.go_on(5)
-        client.wait(lambda: "warning/goal 9" in client.diagnostics[1], "the warning")
+        client.wait(lambda: "warning/place 9" in client.diagnostics[1], "the warning")
         assert client.diagnostics[0] == "ready"
-        assert "out of reach" in client.diagnostics[1]["warning/goal 9"]
+        assert "out of reach" in client.diagnostics[1]["warning/place 9"]
         done, _ = client.set_parameter("places", [""])
         assert done
         client.go_on()
-        client.wait(lambda: "warning/goal 9" not in client.diagnostics[1], "the warning's end")
+        client.wait(lambda: "warning/place 9" not in client.diagnostics[1], "the warning's end")
         client.wait_for_end(tracker)
         assert tuple(client.posteriors[max(client.posteriors)][0]) == (0, 4)
     log = client.process.log.read_text(encoding="utf-8")
-    assert log.count("goal 9 is ") == 1, "logged once"
+    assert log.count("place 9 is ") == 1, "logged once"
 
 
 def test_the_23_dof_human_reaches_for_a_place_of_no_library(tmp_path: Path) -> None:
     captured = mocap_library(4, 4)
-    places = GoalPlaces.of_library(captured, HumanModel.mocap23())
+    places = Places.of_library(captured, HumanModel.mocap23())
     learned = write_library_bag(some_of(captured, {0, 2, 3}, 4), tmp_path / "learned")
     played = mocap_library(4, 1, seed=9)
     bag = write_library_bag(played, tmp_path / "played")
@@ -118,7 +118,7 @@ def test_recordings_of_two_people_suffice_where_places_are_told(tmp_path: Path) 
     recorded, human = load_library(demos), HumanModel.mocap23()
     motion = recorded.find("1")
     ends = human.forward(np.array([m.q[-1] for m in recorded]))["right_palm"]
-    goals = GoalPlaces((1, 2), np.array([ends[1], ends[1] + [0.5, -0.5, 0.0]]))
+    goals = Places((1, 2), np.array([ends[1], ends[1] + [0.5, -0.5, 0.0]]))
     parameters = {"library": str(demos), "human": "mocap23", "places": goal_texts(goals)}
     with PredictorClient(tmp_path, {**parameters, "detect_onsets": False}) as client:
         client.wait_for_end(client.replay(demos, "1"))

@@ -14,19 +14,21 @@ from humanpred_ros.errors import HumanModelError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
-from humanpred_ros.reaching.best_reaches import N_ALONG, best_reach, distances_from
 from humanpred_ros.reaching.end_postures import EndPostures
 from humanpred_ros.reaching.excess_cost import (
     ARRIVED,
     HAND,
     MOST_M,
+    N_ALONG,
     N_COLUMNS,
     N_PARTS,
     PARTS,
     REACHED_M,
     START,
     HandState,
+    best_reach,
     chosen_postures,
+    distances_from,
     excess_costs,
     observe,
     reach_so_far,

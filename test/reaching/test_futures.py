@@ -11,7 +11,7 @@ from small_library import REST, small_library
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching.end_postures import HAND
-from humanpred_ros.reaching.futures import ReachFutures, ReachFuturesConfig
+from humanpred_ros.reaching.futures import ReachFutures, ReachFuturesSettings
 from humanpred_ros.reaching.progress import ReachProgress
 from humanpred_ros.reaching.reach_model import ReachModel
 
@@ -22,7 +22,7 @@ PLACES = np.array([[0.62, -0.35, 0.66], [0.62, -0.12, 0.7], [0.48, -0.55, 0.7], 
 @cache
 def futures(there_and_back: bool = False) -> ReachFutures:
     model = ReachModel.learn(small_library(4, there_and_back=there_and_back).motions, HUMAN)
-    return ReachFutures(model, np.ones(24), config=ReachFuturesConfig(planned=False))
+    return ReachFutures(model, np.ones(24), settings=ReachFuturesSettings(planned=False))
 
 
 def under_way(place: FloatArray, done: float = 0.3) -> ReachProgress:

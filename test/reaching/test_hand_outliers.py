@@ -1,4 +1,4 @@
-"""A hand is believed where it can have got, and nothing wrong is held on to for ever."""
+"""A hand is accepted where it can be, and nothing wrong is held on to for ever."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import pytest
 
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.reaching.hand_outliers import (
-    ANEW,
     FASTEST_M_S,
-    FOUND,
-    LEFT_OUT,
     N_STEADY,
+    OUTLIER,
     PART,
-    Belief,
-    judged,
+    RECOVERED,
+    RESTARTED,
+    HandHistory,
+    judge,
 )
 
 
@@ -25,12 +25,12 @@ def reach(way_m: float = 0.6, duration_s: float = 1.0, rate_hz: float = 60.0) ->
 
 
 def conclusions(hand: FloatArray, rate_hz: float = 60.0, begun_at: int = 15) -> list[int]:
-    belief = Belief.fresh()
-    return [judged(belief, place, k / rate_hz, k >= begun_at) for k, place in enumerate(hand)]
+    belief = HandHistory.fresh()
+    return [judge(belief, place, k / rate_hz, k >= begun_at) for k, place in enumerate(hand)]
 
 
 @pytest.mark.parametrize("rate_hz", [10.0, 30.0, 60.0, 120.0])
-def test_the_fastest_reach_that_people_can_do_is_believed_in_the_noise_of_a_tracker(rate_hz: float) -> None:
+def test_the_fastest_reach_that_people_can_do_is_accepted_in_the_noise_of_a_tracker(rate_hz: float) -> None:
     noise = np.random.default_rng(0).normal(0.0, 0.015, (10 + round(0.3 * rate_hz) + 1, 3))
     assert set(conclusions(reach(0.6, 0.3, rate_hz) + noise, rate_hz)) == {PART}
 
@@ -43,16 +43,16 @@ def test_a_lost_arm_is_left_out_and_found_again(n_lost: int) -> None:
         said = conclusions(hand)
         back = 30 + n_lost + N_STEADY
         assert set(said[:30]) == {PART}
-        assert set(said[30 : back - 1]) == {LEFT_OUT}
-        assert said[back - 1] == FOUND
+        assert set(said[30 : back - 1]) == {OUTLIER}
+        assert said[back - 1] == RECOVERED
         assert set(said[back:]) == {PART}
 
 
-def test_a_hand_that_stays_where_it_jumped_is_believed_in_the_end() -> None:
+def test_a_hand_that_stays_where_it_jumped_is_accepted_in_the_end() -> None:
     hand = np.vstack([reach(), np.tile(reach()[-1], (90, 1))])
     hand[40:] += [0.0, 5.0, 0.0]
     said = conclusions(hand)
-    found = said.index(FOUND)
+    found = said.index(RECOVERED)
     assert 60 * 4.5 / FASTEST_M_S < found - 40 < 60 * 5.5 / FASTEST_M_S
     assert set(said[found + 1 :]) == {PART}
 
@@ -62,7 +62,7 @@ def test_a_reach_begins_where_the_hand_is_steady_first(n_wild: int) -> None:
     hand = reach()
     hand[:n_wild] += [0.0, 4.0, 0.0]
     said = conclusions(hand)
-    assert said.index(ANEW) == n_wild + N_STEADY - 1
+    assert said.index(RESTARTED) == n_wild + N_STEADY - 1
     assert set(said[n_wild + N_STEADY :]) == {PART}
 
 
@@ -70,12 +70,12 @@ def test_a_small_jump_to_and_fro_is_no_reason_to_stay_lost() -> None:
     hand = reach()
     hand[30] += [0.0, 0.2, 0.0]
     said = conclusions(hand)
-    assert said.count(LEFT_OUT) <= N_STEADY
-    assert FOUND in said
+    assert said.count(OUTLIER) <= N_STEADY
+    assert RECOVERED in said
 
 
 def test_frames_that_never_came_are_no_jump() -> None:
-    hand, belief = reach(), Belief.fresh()
-    assert judged(belief, hand[0], 0.0, False) == PART
-    assert judged(belief, hand[-1], 1.0, True) == PART
-    assert judged(belief, hand[-1] + [2.0 * FASTEST_M_S, 0.0, 0.0], 2.0, True) == LEFT_OUT
+    hand, belief = reach(), HandHistory.fresh()
+    assert judge(belief, hand[0], 0.0, False) == PART
+    assert judge(belief, hand[-1], 1.0, True) == PART
+    assert judge(belief, hand[-1] + [2.0 * FASTEST_M_S, 0.0, 0.0], 2.0, True) == OUTLIER

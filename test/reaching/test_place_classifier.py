@@ -25,8 +25,8 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.placement import placed, turn_and_shift
-from humanpred_ros.reaching.place_classifier import GoalClassifier, GoalModel, GoalPlaces
-from humanpred_ros.reaching.unlisted_places import UntoldPlaces
+from humanpred_ros.reaching.place_classifier import PlaceClassifier, PlaceModel, Places
+from humanpred_ros.reaching.unlisted_places import UnlistedPlaces
 from humanpred_ros.recognition.stream import StreamClassifier
 
 HUMAN = HumanModel.kinect12()
@@ -38,20 +38,20 @@ def library(there_and_back: bool = True) -> MotionLibrary:
 
 
 @cache
-def fitted(there_and_back: bool = True) -> GoalClassifier:
-    return GoalClassifier(HUMAN).fit(library(there_and_back))
+def fitted(there_and_back: bool = True) -> PlaceClassifier:
+    return PlaceClassifier(HUMAN).fit(library(there_and_back))
 
 
-def fresh(goals: GoalPlaces | None = None, there_and_back: bool = True) -> GoalClassifier:
+def fresh(goals: Places | None = None, there_and_back: bool = True) -> PlaceClassifier:
     source = fitted(there_and_back)
-    return GoalClassifier(HUMAN, source.config, source.model, goals or source.goals)
+    return PlaceClassifier(HUMAN, source.settings, source.model, goals or source.places)
 
 
 def unseen(label: int, seed: int = 99, there_and_back: bool = True) -> Motion:
     return small_library(4, 1, 50, there_and_back=there_and_back, seed=seed).motions[label]
 
 
-def answers(classifier: GoalClassifier | StreamClassifier, motion: Motion) -> FloatArray:
+def answers(classifier: PlaceClassifier | StreamClassifier, motion: Motion) -> FloatArray:
     """Return (T, G + 1) the probabilities of the goals and of none."""
     classifier.start()
     posteriors = [classifier.update(q, t_s) for q, t_s in zip(motion.q, motion.t_s.tolist(), strict=True)]
@@ -81,25 +81,25 @@ def test_goals_nobody_was_seen_to_reach_for_are_inferred() -> None:
 
 def test_without_its_class_means_without_all_its_motions_but_with_its_place() -> None:
     rest = library().select(lambda motion: motion.label != 10)
-    without, anew = fitted().fit_without(library(), "10/2"), GoalClassifier(HUMAN).fit(rest)
+    without, anew = fitted().fit_without(library(), "10/2"), PlaceClassifier(HUMAN).fit(rest)
     np.testing.assert_allclose(without.model.weights, anew.model.weights, rtol=1e-6)
-    assert without.goals is not None
-    expected = GoalPlaces.of_library(library(), HUMAN, without_motion="10/2")
-    np.testing.assert_allclose(without.goals.places_m, expected.places_m, atol=1e-12)
-    assert without.goals.labels == library().labels
+    assert without.places is not None
+    expected = Places.of_library(library(), HUMAN, without_motion="10/2")
+    np.testing.assert_allclose(without.places.places_m, expected.places_m, atol=1e-12)
+    assert without.places.labels == library().labels
     other = fitted().fit_without(library(), "10/3")
     assert other.model is without.model  # 4 classes are 4 fits
-    assert fitted().goals is not None
-    assert fitted().goals.labels == library().labels
+    assert fitted().places is not None
+    assert fitted().places.labels == library().labels
 
 
 def test_learning_needs_a_library_and_leaving_out_needs_the_same_one() -> None:
     with pytest.raises(UsageError, match="call fit"):
-        GoalClassifier(HUMAN).fit_without(library(), "10/2")
+        PlaceClassifier(HUMAN).fit_without(library(), "10/2")
     with pytest.raises(UsageError, match="call fit"):
         fitted().fit_without(library(False).select(lambda motion: motion.label != 0), "10/2")
     with pytest.raises(LibraryFormatError, match="at least two classes"):
-        GoalClassifier(HUMAN).fit(library().select(lambda motion: motion.label == 0))
+        PlaceClassifier(HUMAN).fit(library().select(lambda motion: motion.label == 0))
 
 
 @settings(max_examples=8)
@@ -107,7 +107,7 @@ def test_learning_needs_a_library_and_leaving_out_needs_the_same_one() -> None:
 def test_another_room_changes_nothing(yaw: float, shift: list[float], label: int) -> None:
     T = turn_and_shift(yaw, shift)
     motion = unseen(label)
-    goals = fitted().goals
+    goals = fitted().places
     assert goals is not None
     there = answers(fresh(goals.moved(T)), placed(motion, T))
     # The tracker's noise is filtered axis by axis, so that turning it makes a small difference.
@@ -120,10 +120,10 @@ def test_another_room_changes_nothing(yaw: float, shift: list[float], label: int
 @settings(max_examples=8)
 @given(st.permutations(range(4)), st.integers(0, 3))
 def test_the_order_of_the_goals_does_not_matter(order: list[int], label: int) -> None:
-    goals = fitted().goals
+    goals = fitted().places
     assert goals is not None
     motion = unseen(label)
-    shuffled = fresh(GoalPlaces(tuple(goals.labels[k] for k in order), goals.places_m[order]))
+    shuffled = fresh(Places(tuple(goals.labels[k] for k in order), goals.places_m[order]))
     np.testing.assert_allclose(answers(shuffled, motion), answers(fresh(), motion)[:, [*order, 4]], atol=1e-9)
     assert shuffled.update(motion.q[-1], 100.0).labels == tuple(goals.labels[k] for k in order)
 
@@ -131,11 +131,11 @@ def test_the_order_of_the_goals_does_not_matter(order: list[int], label: int) ->
 @settings(max_examples=8)
 @given(st.floats(-3, 3), st.integers(0, 3))
 def test_a_goal_far_away_changes_little_once_the_reach_is_under_way(direction: float, label: int) -> None:
-    goals = fitted().goals
+    goals = fitted().places
     assert goals is not None
     away = [3.0 * np.cos(direction), 3.0 * np.sin(direction), 1.0]
     motion = unseen(label)
-    more, usual = answers(fresh(goals.with_goal(77, away)), motion), answers(fresh(), motion)
+    more, usual = answers(fresh(Places.of({**goals.by_label, 77: away})), motion), answers(fresh(), motion)
     assert np.abs(more[25:, :4] - usual[25:, :4]).max() < 0.12
     assert more[25:, 4].max() < 0.1
 
@@ -187,7 +187,7 @@ def test_a_stream_that_begins_wildly_recovers(n_wild: int) -> None:
     np.testing.assert_allclose(wild[n_wild + 10 :], usual[n_wild + 10 :], atol=0.02)
 
 
-def test_postures_that_are_not_believed_are_counted_and_their_time_passes() -> None:
+def test_outliers_are_counted_and_their_time_passes() -> None:
     motion, classifier = unseen(0), fresh()
     for q, t_s in zip(motion.q[:15], motion.t_s[:15].tolist(), strict=True):
         before = classifier.update(q, t_s)
@@ -198,13 +198,13 @@ def test_postures_that_are_not_believed_are_counted_and_their_time_passes() -> N
 
 
 def test_goals_come_and_go_while_a_reach_is_under_way() -> None:
-    goals, motion = fitted().goals, unseen(2)
+    goals, motion = fitted().places, unseen(2)
     assert goals is not None
-    classifier = fresh(goals.without(20))
+    classifier = fresh(Places.of({label: place for label, place in goals.by_label.items() if label != 20}))
     for q, t_s in zip(motion.q[:30], motion.t_s[:30].tolist(), strict=True):
         before = classifier.update(q, t_s)
     assert before.labels == (0, 10, 30)
-    classifier.set_goals(goals)
+    classifier.set_places(goals)
     after = classifier.update(motion.q[30], float(motion.t_s[30]))
     expected = answers(fresh(), motion)[30]
     np.testing.assert_allclose([*after.probability, after.unknown], expected, atol=1e-9)
@@ -213,9 +213,9 @@ def test_goals_come_and_go_while_a_reach_is_under_way() -> None:
 
 
 def test_a_single_goal_is_meant_or_none() -> None:
-    goals = fitted().goals
+    goals = fitted().places
     assert goals is not None
-    only = GoalPlaces((0,), goals.place(0)[None])
+    only = Places.of({0: goals.by_label[0]})
     towards, elsewhere = answers(fresh(only), unseen(0)), answers(fresh(only), unseen(2))
     np.testing.assert_allclose(towards.sum(axis=1), 1.0, atol=1e-9)
     assert towards[34, 1] < 0.1
@@ -224,7 +224,7 @@ def test_a_single_goal_is_meant_or_none() -> None:
 
 @pytest.mark.parametrize("learned", [True, False])
 def test_a_place_nobody_told_of_and_nobody_reached_for_is_none_of_them(learned: bool) -> None:
-    goals = fitted().goals
+    goals = fitted().places
     assert goals is not None
     ends = fitted().model.ends
     assert ends is not None
@@ -233,7 +233,7 @@ def test_a_place_nobody_told_of_and_nobody_reached_for_is_none_of_them(learned: 
     start = unseen(0).q[0]
     phase = np.linspace(0.0, 1.0, 50)[:, None]
     q = start + phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2) * (ends.mean(start, shelf) - start)
-    classifier = fresh() if learned else GoalClassifier(HUMAN, goals=goals)
+    classifier = fresh() if learned else PlaceClassifier(HUMAN, places=goals)
     p = answers(classifier, Motion(np.arange(37) / 30.0, q[:37], unseen(0).dof_names))
     assert p[30, 4] > 0.5
     assert p[36, 4] > 0.8
@@ -241,7 +241,7 @@ def test_a_place_nobody_told_of_and_nobody_reached_for_is_none_of_them(learned: 
     assert there.shape == (16, 3)
     assert np.median(there[:, 2]) > goals.places_m[:, 2].max() + 0.15
     apart = np.linalg.norm(there[:, None] - goals.places_m, axis=2)
-    assert apart.min() >= classifier.config.apart_m, "a place that was told is none that was not"
+    assert apart.min() >= classifier.settings.apart_m, "a place that was told is none that was not"
 
 
 def test_with_places_told_everywhere_there_is_nothing_elsewhere() -> None:
@@ -249,29 +249,29 @@ def test_with_places_told_everywhere_there_is_nothing_elsewhere() -> None:
     side = np.linspace(-1.3, 1.3, 22)
     grid = np.stack(np.meshgrid(side + 0.5, side - 0.3, side + 0.6, indexing="ij"), axis=-1).reshape(-1, 3)
     classifier = fresh()
-    classifier._untold = UntoldPlaces(HUMAN, np.array([[0.6, 0.0, 0.0], [0.7, 0.2, 0.0]]), np.full(2, 0.5))
-    classifier.set_goals(GoalPlaces(tuple(range(len(grid))), grid))
+    classifier._unlisted = UnlistedPlaces(HUMAN, np.array([[0.6, 0.0, 0.0], [0.7, 0.2, 0.0]]), np.full(2, 0.5))
+    classifier.set_places(Places(tuple(range(len(grid))), grid))
     p = answers(classifier, Motion(motion.t_s[:4], motion.q[:4], motion.dof_names))
     assert (p[:, -1] < 1e-6).all()
     assert classifier.elsewhere(16).shape == (0, 3)
 
 
 def test_goals_in_nearly_the_same_place_share_what_one_would_get() -> None:
-    goals, motion = fitted().goals, unseen(0)
+    goals, motion = fitted().places, unseen(0)
     assert goals is not None
-    twins = answers(fresh(goals.with_goal(5, goals.place(0) + 1e-4)), motion)
+    twins = answers(fresh(Places.of({**goals.by_label, 5: goals.by_label[0] + 1e-4})), motion)
     np.testing.assert_allclose(twins[:, 0], twins[:, 4], atol=0.02)
     assert twins[34, [0, 4]].sum() > 0.8
     with pytest.raises(UsageError, match="every label once"):
-        GoalPlaces((1, 1), np.zeros((2, 3)))
+        Places((1, 1), np.zeros((2, 3)))
 
 
 def test_thirty_goals_are_told_apart() -> None:
-    goals, motion = fitted().goals, unseen(3)
+    goals, motion = fitted().places, unseen(3)
     assert goals is not None
     rng = np.random.default_rng(0)
     for k in range(26):
-        goals = goals.with_goal(100 + k, goals.place(0) + rng.uniform(-0.5, 0.5, 3))
+        goals = Places.of({**goals.by_label, 100 + k: goals.by_label[0] + rng.uniform(-0.5, 0.5, 3)})
     classifier = fresh(goals)
     p = answers(classifier, motion)
     np.testing.assert_allclose(p.sum(axis=1), 1.0, atol=1e-9)
@@ -279,7 +279,7 @@ def test_thirty_goals_are_told_apart() -> None:
 
 
 def test_it_runs_on_a_stream() -> None:
-    goals, motion = fitted().goals, unseen(1)
+    goals, motion = fitted().places, unseen(1)
     assert goals is not None
     rest = np.repeat(motion.q[:1], 60, axis=0) + np.random.default_rng(0).normal(0.0, 0.001, (60, 12))
     t_s = np.arange(110) * motion.period_s
@@ -290,14 +290,14 @@ def test_it_runs_on_a_stream() -> None:
 
 
 def test_goals_out_of_reach_do_not_disturb_inference() -> None:
-    goals, motion = fitted().goals, unseen(0)
+    goals, motion = fitted().places, unseen(0)
     assert goals is not None
-    classifier = fresh(goals.with_goal(9, [6.0, 0.0, 1.0]))
+    classifier = fresh(Places.of({**goals.by_label, 9: [6.0, 0.0, 1.0]}))
     assert answers(classifier, motion)[34].argmax() == 0
 
 
 def test_one_reach_after_another_without_rest_is_judged_anew() -> None:
-    goals = fitted().goals
+    goals = fitted().places
     assert goals is not None
     first, second = unseen(0), unseen(2)
     there, back = first.q, first.q[::-1]
@@ -309,8 +309,8 @@ def test_one_reach_after_another_without_rest_is_judged_anew() -> None:
 
 def test_what_cannot_be_judged_is_refused_and_changes_nothing() -> None:
     motion = unseen(0)
-    with pytest.raises(UsageError, match="set_goals"):
-        GoalClassifier(HUMAN).update(motion.q[0], 0.0)
+    with pytest.raises(UsageError, match="set_places"):
+        PlaceClassifier(HUMAN).update(motion.q[0], 0.0)
     classifier, untouched = fresh(), fresh()
     broken = motion.q[0].copy()
     broken[3] = np.nan
@@ -329,23 +329,23 @@ def test_what_cannot_be_judged_is_refused_and_changes_nothing() -> None:
 
 
 def test_it_is_of_use_before_anything_was_learned() -> None:
-    goals = fitted().goals
+    goals = fitted().places
     for label in range(4):
-        p = answers(GoalClassifier(HUMAN, goals=goals), unseen(label))
+        p = answers(PlaceClassifier(HUMAN, places=goals), unseen(label))
         assert p[40, label] > max(0.35, p[40, 4])  # two of the goals are 8 cm apart
 
 
 def test_weights_serve_another_human_and_end_postures_do_not() -> None:
     model = fitted().model
     with pytest.raises(HumanModelError, match="weights alone"):
-        GoalClassifier(MOCAP, model=model)
-    assert GoalClassifier(MOCAP, model=GoalModel(model.weights)).model.ends is None
+        PlaceClassifier(MOCAP, model=model)
+    assert PlaceClassifier(MOCAP, model=PlaceModel(model.weights)).model.ends is None
 
 
 def test_people_seen_by_motion_capture_reach_for_goals_too() -> None:
     palm = MOCAP.forward(reach(0)[1][-1])["right_palm"]
-    goals = GoalPlaces((1, 2, 3), palm + np.array([[0.0, 0.0, 0.0], [0.35, 0.0, 0.0], [0.0, -0.4, 0.1]]))
-    classifier = GoalClassifier(MOCAP, model=GoalModel.prior(), goals=goals)
+    goals = Places((1, 2, 3), palm + np.array([[0.0, 0.0, 0.0], [0.35, 0.0, 0.0], [0.0, -0.4, 0.1]]))
+    classifier = PlaceClassifier(MOCAP, model=PlaceModel.prior(), places=goals)
     for seed in range(4):
         t_s, q, _ = reach(seed)
         p = answers(classifier, Motion(t_s, q, MOCAP.dof_names))

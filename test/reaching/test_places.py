@@ -1,4 +1,4 @@
-"""Goal places are checked, stay what they are, and come from what most motions of a class show."""
+"""Places are checked, stay what they are, and come from what most motions of a class show."""
 
 from __future__ import annotations
 
@@ -14,23 +14,17 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.motion.placement import placed, turn_and_shift
-from humanpred_ros.reaching.places import LEAN_M, GoalPlaces, reach_ends
+from humanpred_ros.reaching.places import LEAN_M, Places, places_from_text, places_in_world, reach_ends
+from humanpred_ros.robot.scene import load_scene
 
 HUMAN = HumanModel.kinect12()
-PLACES = GoalPlaces((7, 3), np.array([[0.5, 0.1, 1.0], [0.4, -0.2, 0.9]]))
+PLACES = Places((7, 3), np.array([[0.5, 0.1, 1.0], [0.4, -0.2, 0.9]]))
 LIBRARY = small_library(3, 6, 40, there_and_back=True)
 
 
-def test_goals_are_added_changed_and_removed_in_new_objects() -> None:
-    more = PLACES.with_goal(5, [0.0, 0.0, 1.0])
-    assert more.labels == (7, 3, 5)
-    np.testing.assert_array_equal(more.place(5), [0.0, 0.0, 1.0])
-    changed = more.with_goal(3, [1.0, 1.0, 1.0])
-    assert changed.labels == more.labels
-    np.testing.assert_array_equal(changed.place(3), [1.0, 1.0, 1.0])
-    assert changed.without(7).labels == (3, 5)
-    assert PLACES.labels == (7, 3)
-    np.testing.assert_array_equal(PLACES.place(3), [0.4, -0.2, 0.9])
+def test_places_cannot_be_changed_and_are_found_by_label() -> None:
+    np.testing.assert_array_equal(PLACES.by_label[3], [0.4, -0.2, 0.9])
+    assert list(PLACES.by_label) == [7, 3]
     with pytest.raises(ValueError, match="read-only"):
         PLACES.places_m[0, 0] = 1.0
 
@@ -55,15 +49,7 @@ def test_moving_there_and_back_changes_nothing(yaw: float, shift: list[float]) -
 )
 def test_what_cannot_be_places_is_refused(labels: tuple[int, ...], places: object, complaint: str) -> None:
     with pytest.raises(HumanPredError, match=complaint):
-        GoalPlaces(labels, places)  # type: ignore[arg-type]
-
-
-def test_labels_that_are_not_there_and_the_last_goal_cannot_be_removed() -> None:
-    for call in (PLACES.without, PLACES.place):
-        with pytest.raises(UsageError, match="labels 7, 3, got 4"):
-            call(4)
-    with pytest.raises(UsageError, match="at least one"):
-        PLACES.without(7).without(3)
+        Places(labels, places)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("T", [np.diag([1.0, 1.0, -1.0, 1.0]), 2 * np.eye(4), np.eye(3), np.full((4, 4), np.nan)])
@@ -73,23 +59,23 @@ def test_only_rigid_transforms_move_places(T: np.ndarray) -> None:
 
 
 def test_a_class_has_its_place_where_the_hands_of_its_motions_turn() -> None:
-    places = GoalPlaces.of_library(LIBRARY, HUMAN)
+    places = Places.of_library(LIBRARY, HUMAN)
     assert places.labels == (0, 10, 20)
     for label in places.labels:
         turns = [HUMAN.forward(motion.q[20])["right_palm"] for motion in LIBRARY.of_class(label)]
-        assert np.linalg.norm(np.median(turns, axis=0) - places.place(label)) < 0.02
+        assert np.linalg.norm(np.median(turns, axis=0) - places.by_label[label]) < 0.02
 
 
 def test_a_motion_left_out_has_no_say_in_its_place_and_others_stay() -> None:
     gone = "10/2"
     rest = LIBRARY.select(lambda motion: motion.name != gone)
-    found = GoalPlaces.of_library(LIBRARY, HUMAN, without_motion=gone)
-    np.testing.assert_allclose(found.places_m, GoalPlaces.of_library(rest, HUMAN).places_m, atol=1e-12)
-    whole = GoalPlaces.of_library(LIBRARY, HUMAN)
-    np.testing.assert_array_equal(found.place(0), whole.place(0))
-    assert (found.place(10) != whole.place(10)).any()
+    found = Places.of_library(LIBRARY, HUMAN, without_motion=gone)
+    np.testing.assert_allclose(found.places_m, Places.of_library(rest, HUMAN).places_m, atol=1e-12)
+    whole = Places.of_library(LIBRARY, HUMAN)
+    np.testing.assert_array_equal(found.by_label[0], whole.by_label[0])
+    assert (found.by_label[10] != whole.by_label[10]).any()
     with pytest.raises(UsageError, match="no trajectory"):
-        GoalPlaces.of_library(LIBRARY, HUMAN, without_motion="10/99")
+        Places.of_library(LIBRARY, HUMAN, without_motion="10/99")
 
 
 def test_a_motion_that_runs_off_does_not_move_its_place() -> None:
@@ -99,18 +85,18 @@ def test_a_motion_that_runs_off_does_not_move_its_place() -> None:
     spoiled = MotionLibrary("spoiled", tuple(motions))
     assert [end.name for end in reach_ends(spoiled, HUMAN) if not end.tracked] == [wild.name]
     np.testing.assert_allclose(
-        GoalPlaces.of_library(spoiled, HUMAN).places_m,
-        GoalPlaces.of_library(LIBRARY, HUMAN, without_motion=wild.name).places_m,
+        Places.of_library(spoiled, HUMAN).places_m,
+        Places.of_library(LIBRARY, HUMAN, without_motion=wild.name).places_m,
         atol=1e-12,
     )
 
 
 def test_a_class_without_a_motion_left_is_an_error_not_a_guess() -> None:
     single = LIBRARY.select(lambda motion: motion.label != 20 or motion.index == 0)
-    with pytest.raises(LibraryFormatError, match="goal 20"):
-        GoalPlaces.of_library(single, HUMAN, without_motion="20/0")
+    with pytest.raises(LibraryFormatError, match="place 20"):
+        Places.of_library(single, HUMAN, without_motion="20/0")
     with pytest.raises(HumanModelError):
-        GoalPlaces.of_library(LIBRARY, HumanModel.mocap23())
+        Places.of_library(LIBRARY, HumanModel.mocap23())
 
 
 @pytest.mark.parametrize("human", [HumanModel.kinect12(), HumanModel.mocap23()], ids=["kinect12", "mocap23"])
@@ -123,19 +109,19 @@ def test_places_out_of_reach_are_named_with_their_distance(human: HumanModel) ->
         for a, b in (("right_shoulder", "right_elbow"), ("right_elbow", "right_palm"))
     )
     limit = float(arm) + LEAN_M
-    places = GoalPlaces((1, 2, 3), shoulder + np.array([[limit + 0.01, 0, 0], [0, limit - 0.01, 0], [0, 0, -5.0]]))
+    places = Places((1, 2, 3), shoulder + np.array([[limit + 0.01, 0, 0], [0, limit - 0.01, 0], [0, 0, -5.0]]))
     found = places.out_of_reach(human, q)
     assert [far.label for far in found] == [1, 3]
     assert found[1].distance_m == pytest.approx(5.0)
     assert found[0].limit_m == pytest.approx(limit)
-    assert "goal 3 is 5.00 m" in str(found[1])
+    assert "place 3 is 5.00 m" in str(found[1])
     assert places.out_of_reach(human, q, lean_m=10.0) == ()
 
 
 @pytest.mark.parametrize("name", ["library_a", "library_b"])
 def test_every_place_of_the_papers_libraries_is_in_reach_of_everybody(name: str) -> None:
     library = load_library(shared_data(f"iros2013/{name}"))
-    places = GoalPlaces.of_library(library, HUMAN)
+    places = Places.of_library(library, HUMAN)
     assert len(places) == 8
     distances = np.linalg.norm(places.places_m[:, None] - places.places_m, axis=2) + np.eye(8)
     assert distances.min() > 0.1
@@ -145,3 +131,35 @@ def test_every_place_of_the_papers_libraries_is_in_reach_of_everybody(name: str)
             assert places.out_of_reach(HUMAN, motion.q[0]) == ()
     motion = placed(library.motions[40], turn_and_shift(0.0, (3.0, 0.0, 0.0)))
     assert len(places.out_of_reach(HUMAN, motion.q[0])) == 8
+
+
+SCENE = load_scene("four_places")
+
+
+def test_places_are_brought_into_the_trackers_frame() -> None:
+    given_m = {3: np.array([-0.22, -0.67, 0.8]), 12: np.array([0.0, 0.5, 1.0])}
+    by_text = places_from_text(["3 -0.22 -0.67 0.80", "  12   0 .5 1e0 "], SCENE.T_world_human)
+    for places in (by_text, places_in_world(given_m, SCENE.T_world_human)):
+        assert places is not None
+        assert places.labels == (3, 12)
+        in_world = places.moved(SCENE.T_world_human).places_m
+        np.testing.assert_allclose(in_world, list(given_m.values()), atol=1e-12)
+
+
+def test_no_places_are_none() -> None:
+    assert places_in_world({}, SCENE.T_world_human) is None
+    for entries in ([], [""], [" ", ""]):
+        assert places_from_text(entries, SCENE.T_world_human) is None
+
+
+@pytest.mark.parametrize(
+    "entry", ["3", "3 0.1 0.2", "3 0.1 0.2 0.3 0.4", "cup 0.1 0.2 0.3", "3.5 0.1 0.2 0.3", "3 a b c", "3 0.1 nan 0.3"]
+)
+def test_an_entry_that_says_something_else_is_refused_with_what_was_wanted(entry: str) -> None:
+    with pytest.raises(UsageError, match=r"wanted 'label x y z'.* as in '3 -0\.22 -0\.67 0\.80', got"):
+        places_from_text(["1 0 0 1", entry], SCENE.T_world_human)
+
+
+def test_a_label_stands_for_one_place() -> None:
+    with pytest.raises(UsageError, match="every label once, got 3"):
+        places_from_text(["3 0 0 1", "3 0 0.5 1"], SCENE.T_world_human)

@@ -92,7 +92,7 @@ def test_relative_bounds_of_p2s_recordings_hold_the_recordings_and_leave_the_tru
     still = recordings[0].active.q[0]
     lower, upper = bounds.around(still, still)
     assert upper[k] - lower[k] < 0.06 < 0.23 < absolute.upper[k] - absolute.lower[k]
-    # Whether a goal is to be believed is still told by where demonstrations ended.
+    # Whether a goal is plausible still follows from where demonstrations ended.
     far = still.copy()
     far[k] += 3.0
     with pytest.raises(GoalUnreachableError):

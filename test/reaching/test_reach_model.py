@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from small_library import REST, small_library
 
-from humanpred_ros.errors import HumanModelError, MotionError, PlanningError
+from humanpred_ros.errors import HumanModelError, MotionError, PlanningError, SettingsError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching.end_postures import HAND
 from humanpred_ros.reaching.features import NAMED_WEIGHTS
-from humanpred_ros.reaching.futures import ReachFutures, ReachFuturesConfig
+from humanpred_ros.reaching.futures import ReachFutures, ReachFuturesSettings
 from humanpred_ros.reaching.progress import ReachProgress
 from humanpred_ros.reaching.reach_model import ReachModel
 from humanpred_ros.reaching.surroundings import Surroundings
@@ -57,7 +57,7 @@ def test_whether_people_come_back_is_learned() -> None:
 @pytest.mark.parametrize("n", [1, 15, 25])
 def test_futures_begin_now_and_end_at_the_place(n: int, planned: bool) -> None:
     progress = seen(n, label=10)
-    futures = ReachFutures(learned(), WEIGHTS, config=ReachFuturesConfig(planned=planned)).towards(
+    futures = ReachFutures(learned(), WEIGHTS, settings=ReachFuturesSettings(planned=planned)).towards(
         progress, place_of(10)
     )
     assert futures.shape[0] == 16
@@ -114,7 +114,7 @@ def test_what_stands_in_the_way_is_avoided_by_the_planner() -> None:
     # A post just beside the way, narrower than the way is long.
     post = Obstacle("post", Box(planar_pose(middle[0], middle[1] - 0.06, middle[2], 0.0), np.array([0.1, 0.1, 0.3])))
     scene = Surroundings((post,), middle - 1.0, middle + 1.0)
-    config = ReachFuturesConfig(n_samples=32)
+    config = ReachFuturesSettings(n_samples=32)
     avoided = hands(ReachFutures(learned(), WEIGHTS, scene, config).towards(progress, place))
     free = hands(ReachFutures(learned(), WEIGHTS, None, config).towards(progress, place))
     centre = np.array([middle[0], middle[1] - 0.06])
@@ -134,7 +134,7 @@ def test_futures_turn_with_the_person(yaw: float) -> None:
         moved[3] += yaw
         there.update(moved)
     model = replace(learned(True), rest_deviation=np.full(12, 1e-9))
-    futures = ReachFutures(model, WEIGHTS, config=ReachFuturesConfig(planned=False))
+    futures = ReachFutures(model, WEIGHTS, settings=ReachFuturesSettings(planned=False))
     ways = [hands(futures.towards(p, place)) for p, place in ((here, place_of(0)), (there, R @ place_of(0)))]
     np.testing.assert_allclose(ways[1].mean(axis=0), ways[0].mean(axis=0) @ R.T, atol=2e-3)
 
@@ -154,7 +154,7 @@ def test_one_wild_posture_neither_turns_the_hand_back_nor_winds_the_arm_up() -> 
 def test_the_same_is_predicted_of_the_same() -> None:
     one, other = (ReachFutures(learned(), WEIGHTS).towards(seen(12), place_of(0)) for _ in range(2))
     np.testing.assert_array_equal(one, other)
-    different = ReachFutures(learned(), WEIGHTS, config=ReachFuturesConfig(seed=5)).towards(seen(12), place_of(0))
+    different = ReachFutures(learned(), WEIGHTS, settings=ReachFuturesSettings(seed=5)).towards(seen(12), place_of(0))
     assert np.abs(different - one).max() > 1e-3
 
 
@@ -165,7 +165,7 @@ def test_what_cannot_be_is_refused() -> None:
         ReachModel.learn(small_library(1).motions, HumanModel.mocap23())
     with pytest.raises(MotionError, match="share"):
         replace(learned(), returning=1.5)
-    with pytest.raises(PlanningError, match="even number"):
-        ReachFuturesConfig(n_samples=7)
+    with pytest.raises(SettingsError, match="even number"):
+        ReachFuturesSettings(n_samples=7)
     with pytest.raises(PlanningError):
         ReachFutures(learned(), -WEIGHTS)

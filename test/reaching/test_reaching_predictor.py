@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,27 +9,30 @@ import pytest
 from paths import shared_data
 from small_library import REST, small_library
 
-from humanpred_ros.errors import ArrayError, MotionError, UsageError
+from humanpred_ros.errors import ArrayError, HumanModelError, MotionError, UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
-from humanpred_ros.reaching.end_postures import HAND
-from humanpred_ros.reaching.futures import ReachFuturesConfig
-from humanpred_ros.reaching.place_classifier import GoalClassifier
-from humanpred_ros.reaching.places import GoalPlaces, mistracked
+from humanpred_ros.reaching.end_postures import HAND, EndPostures
+from humanpred_ros.reaching.futures import ReachFuturesSettings
+from humanpred_ros.reaching.place_classifier import PlaceClassifier
+from humanpred_ros.reaching.place_model import PRIOR_WEIGHTS, PlaceModel
+from humanpred_ros.reaching.places import mistracked
 from humanpred_ros.reaching.progress import ReachProgress
+from humanpred_ros.reaching.reach_knowledge import ReachKnowledge
 from humanpred_ros.reaching.reach_model import ReachModel
-from humanpred_ros.reaching.reaching_predictor import ReachingConfig, ReachingPredictor
+from humanpred_ros.reaching.reaching_predictor import ReachingPredictor, ReachingSettings
 
 pytestmark = pytest.mark.core
 
 HUMAN = HumanModel.kinect12()
 GRID = VoxelGrid((-1.2, -1.4, -0.2), 0.05, (52, 56, 44))
-QUICK = ReachingConfig(ReachFuturesConfig(planned=False))
+QUICK = ReachingSettings(futures=ReachFuturesSettings(planned=False))
 APART = np.array([[0.62, -0.35, 0.66], [0.62, 0.25, 0.9], [0.3, -0.6, 1.2]])
+PLACES = dict(zip((7, 3, 11), APART, strict=True))
 
 
 @cache
@@ -38,9 +40,12 @@ def model() -> ReachModel:
     return ReachModel.learn(small_library(4).motions, HUMAN)
 
 
-def predictor(config: ReachingConfig = QUICK, **options: object) -> ReachingPredictor:
-    goals = GoalClassifier(HUMAN, goals=GoalPlaces((7, 3, 11), APART))
-    return ReachingPredictor(model(), goals, GRID, np.eye(4), config=config, **options)  # type: ignore[arg-type]
+def known(reaches: ReachModel, place_model: PlaceModel | None = None) -> ReachKnowledge:
+    return ReachKnowledge(reaches, place_model or PlaceModel.prior(), None, "test")
+
+
+def predictor(settings: ReachingSettings = QUICK, *, onsets: bool = False) -> ReachingPredictor:
+    return ReachingPredictor(known(model()), GRID, np.eye(4), PLACES, onsets=onsets, settings=settings)
 
 
 def reach_to(place: FloatArray, n: int = 40) -> FloatArray:
@@ -54,7 +59,7 @@ def reach_to(place: FloatArray, n: int = 40) -> FloatArray:
 @pytest.mark.parametrize("label", [7, 3, 11])
 def test_the_goal_is_found_and_what_the_reach_sweeps_is_expected(label: int) -> None:
     subject = predictor()
-    place = subject.goals.place(label)
+    place = subject.places[label]
     q = reach_to(place)
     voxeliser = BodyVoxeliser(HUMAN, GRID, np.eye(4))
     subject.start()
@@ -80,7 +85,7 @@ def test_a_goal_added_while_reaching_is_weighed_at_once() -> None:
     subject.start()
     for k, posture in enumerate(q[:25]):
         before = subject.update(posture, k / 30.0)
-    subject.set_goals(subject.goals.with_goal(42, new))
+    subject.set_places({**subject.places, 42: new})
     after = subject.update(q[25], 25 / 30.0)
     assert before.posterior is not None
     assert after.posterior is not None
@@ -89,7 +94,7 @@ def test_a_goal_added_while_reaching_is_weighed_at_once() -> None:
     hand = GRID.flat_index(HUMAN.forward(q[-1])[HAND])
     flat_before, flat_after = (r.occupancy.probability.ravel()[hand] for r in (before, after))
     assert flat_after > flat_before + 0.2
-    subject.set_goals(subject.goals.without(42).without(3))
+    subject.set_places({label: place for label, place in subject.places.items() if label not in (42, 3)})
     fewer = subject.update(q[26], 26 / 30.0)
     assert fewer.posterior is not None
     assert fewer.posterior.labels == (7, 11)
@@ -97,7 +102,7 @@ def test_a_goal_added_while_reaching_is_weighed_at_once() -> None:
 
 def test_improbable_places_are_given_no_futures_and_the_others_theirs() -> None:
     q = reach_to(APART[0])
-    narrow = predictor(replace(QUICK, least_probability=0.4))
+    narrow = predictor(QUICK.replaced(least_probability=0.4))
     for k, posture in enumerate(q[:30]):
         prediction = narrow.update(posture, k / 30.0)
     there = GRID.flat_index(APART[1])
@@ -109,7 +114,7 @@ def test_a_reach_to_none_of_the_places_is_expected_to_go_elsewhere(monkeypatch: 
     seen = 24
 
     def after(subject: ReachingPredictor) -> tuple[FloatArray, float]:
-        subject.set_goals(GoalPlaces((3,), APART[1:2]))
+        subject.set_places({3: APART[1]})
         for k, posture in enumerate(q[:seen]):
             prediction = subject.update(posture, k / 30.0)
         assert prediction.posterior is not None
@@ -173,13 +178,14 @@ def test_at_rest_only_the_present_posture_counts() -> None:
 
 def test_places_out_of_reach_are_given_no_futures() -> None:
     subject = predictor()
-    subject.set_goals(GoalPlaces((7, 3), np.array([APART[0], [1.1, 0.9, 4.0]])))
+    subject.set_places({7: APART[0], 3: [1.1, 0.9, 4.0]})
     both = subject.update(REST, 0.0).occupancy.probability
     subject.start()
-    subject.set_goals(GoalPlaces((7,), APART[:1]))
+    subject.set_places({7: APART[0]})
     np.testing.assert_allclose(both, subject.update(REST, 0.0).occupancy.probability, atol=1e-6)
     subject.start()
-    subject.set_goals(GoalPlaces((3,), np.array([[1.1, 0.9, 4.0]])))
+    subject.set_places({3: [1.1, 0.9, 4.0]})
+    assert set(subject.warnings(REST)) == {"place 3"}
     anything = subject.update(REST, 0.0).occupancy.probability
     assert ((anything > 0.3) & (anything < 1.0)).any(), "better a reach that way than none"
 
@@ -201,12 +207,14 @@ def test_a_refused_posture_changes_nothing() -> None:
     )
 
 
-def test_a_model_and_goals_of_different_humans_are_refused() -> None:
-    goals = GoalClassifier(HumanModel.mocap23(), goals=GoalPlaces((1,), np.zeros((1, 3))))
-    with pytest.raises(UsageError, match="one human"):
-        ReachingPredictor(model(), goals, GRID, np.eye(4))
-    with pytest.raises(UsageError, match="places"):
-        ReachingPredictor(model(), GoalClassifier(HUMAN), GRID, np.eye(4))
+def test_without_any_places_nothing_is_predicted() -> None:
+    with pytest.raises(UsageError, match="at least one place"):
+        ReachingPredictor(known(model()), GRID, np.eye(4))
+    with pytest.raises(UsageError, match="at least one place"):
+        predictor().set_places(None)
+    other = PlaceModel(PRIOR_WEIGHTS, 1, EndPostures.learn([np.zeros((2, 23))], HumanModel.mocap23()))
+    with pytest.raises(HumanModelError, match="end postures of"):
+        ReachingPredictor(known(model(), other), GRID, np.eye(4), PLACES)
 
 
 def test_it_beats_where_the_body_is_on_a_class_of_library_b_never_seen() -> None:
@@ -214,9 +222,11 @@ def test_it_beats_where_the_body_is_on_a_class_of_library_b_never_seen() -> None
     tested = library.of_class(2)[7]
     wrong = mistracked(library, HUMAN)
     others = [m for m in library if m.label != tested.label and m.name not in wrong]
-    goals = GoalClassifier(HUMAN).fit(library).fit_without(library, tested.name)
+    taught = PlaceClassifier(HUMAN).fit(library).fit_without(library, tested.name)
+    assert taught.places is not None
     grid = VoxelGrid((0.4, 0.2, -0.3), 0.05, (44, 52, 48))
-    subject = ReachingPredictor(ReachModel.learn(others, HUMAN), goals, grid, np.eye(4))
+    knowledge = known(ReachModel.learn(others, HUMAN), taught.model)
+    subject = ReachingPredictor(knowledge, grid, np.eye(4), taught.places.by_label)
     voxeliser = BodyVoxeliser(HUMAN, grid, np.eye(4))
     subject.start()
     ours, current = 0.0, 0.0
@@ -235,9 +245,9 @@ def test_it_works_with_the_23_dof_human() -> None:
     tested = recordings[3].active
     others = [r.active for k, r in enumerate(recordings) if k != 3 and r.usable_for_learning]
     place = human.forward(tested.q[-1])[HAND]
-    goals = GoalClassifier(human, goals=GoalPlaces((0, 1), np.stack([place, place - [0.0, 0.5, -0.2]])))
     grid = VoxelGrid((0.8, 0.2, 0.2), 0.05, (36, 44, 36))
-    subject = ReachingPredictor(ReachModel.learn(others, human), goals, grid, np.eye(4))
+    places = {0: place, 1: place - [0.0, 0.5, -0.2]}
+    subject = ReachingPredictor(known(ReachModel.learn(others, human)), grid, np.eye(4), places)
     voxeliser = BodyVoxeliser(human, grid, np.eye(4))
     for k in range(60):
         prediction = subject.update(tested.q[k], float(tested.t_s[k]))

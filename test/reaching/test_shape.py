@@ -9,7 +9,7 @@ from small_library import REST, small_library
 from humanpred_ros.errors import MotionError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching.end_postures import HAND, EndPosture, start_and_end
-from humanpred_ros.reaching.shape import N_SHARES, ReachShape
+from humanpred_ros.reaching.reach_model import N_SHARES, ReachShape
 
 HUMAN = HumanModel.kinect12()
 

@@ -14,7 +14,7 @@ from humanpred_ros.errors import ArrayError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.placement import turn_and_shift
 from humanpred_ros.reaching.end_postures import EndPostures
-from humanpred_ros.reaching.unlisted_places import N_PLACES, UntoldPlaces, evenly_picked
+from humanpred_ros.reaching.unlisted_places import N_PLACES, UnlistedPlaces, evenly_picked
 
 HUMAN = HumanModel.kinect12()
 
@@ -25,7 +25,7 @@ def ends() -> EndPostures:
 
 
 def test_they_spread_around_where_reaches_end_and_farther() -> None:
-    reached, untold = ends().seen[:, :3], UntoldPlaces.around_ends(ends())
+    reached, untold = ends().seen[:, :3], UnlistedPlaces.around_ends(ends())
     places, near = untold.seen_m, untold.share == untold.share.max()
     assert len(places) == len(untold.share) == 2 * N_PLACES
     np.testing.assert_allclose(untold.share @ places, reached.mean(axis=0), atol=0.01)
@@ -43,7 +43,7 @@ def test_they_spread_around_where_reaches_end_and_farther() -> None:
 
 def test_reaches_to_a_single_place_leave_room_for_others() -> None:
     one = EndPostures.learn([small_library(1, 1).motions[0].q], HUMAN)
-    untold = UntoldPlaces.around_ends(one)
+    untold = UnlistedPlaces.around_ends(one)
     assert np.isfinite(untold.seen_m).all()
     near = untold.seen_m[untold.share == untold.share.max()]
     np.testing.assert_allclose(near.std(axis=0), 0.05, rtol=0.05)
@@ -51,7 +51,7 @@ def test_reaches_to_a_single_place_leave_room_for_others() -> None:
 
 def test_who_has_seen_nobody_reach_expects_it_all_around_the_shoulder() -> None:
     for human in (HUMAN, HumanModel.mocap23()):
-        subject = UntoldPlaces.around_shoulder(human)
+        subject = UnlistedPlaces.around_shoulder(human)
         q = np.clip(np.zeros(len(human.dof_names)), human.lower, human.upper)
         shoulder = human.forward(q)["right_shoulder"]
         np.testing.assert_allclose(np.median(subject.around(q), axis=0), shoulder, atol=0.02)
@@ -61,7 +61,7 @@ def test_who_has_seen_nobody_reach_expects_it_all_around_the_shoulder() -> None:
 @settings(max_examples=10)
 @given(st.floats(-3, 3), st.floats(-2, 2), st.floats(-2, 2))
 def test_they_go_where_the_person_goes(yaw: float, x: float, y: float) -> None:
-    subject = UntoldPlaces.around_ends(ends())
+    subject = UnlistedPlaces.around_ends(ends())
     T = turn_and_shift(yaw, (x, y, 0.0))
     there = REST.copy()
     there[:2] = T[:2, :2] @ REST[:2] + T[:2, 3]
@@ -94,4 +94,4 @@ def test_what_is_no_place_is_refused() -> None:
         (np.zeros((4, 3)), np.full(3, 1.0 / 3.0)),
     ):
         with pytest.raises(ArrayError):
-            UntoldPlaces(HUMAN, places, share)
+            UnlistedPlaces(HUMAN, places, share)

@@ -9,10 +9,9 @@ from paths import shared_data
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.reaching.excess_cost import chosen_postures
-from humanpred_ros.reaching.place_classifier import GoalClassifier
-from humanpred_ros.reaching.place_learning import fit_goal_model, reach_lessons
-from humanpred_ros.reaching.place_model import GoalConfig
-from humanpred_ros.reaching.places import GoalPlaces
+from humanpred_ros.reaching.place_classifier import PlaceClassifier
+from humanpred_ros.reaching.place_model import PlaceSettings, fit_place_model, reach_lessons
+from humanpred_ros.reaching.places import Places
 
 HUMAN = HumanModel.kinect12()
 #: The class left out whole.
@@ -24,16 +23,20 @@ def test_reaches_to_a_goal_never_learned_are_understood_at_60_percent(name: str)
     library = load_library(shared_data(f"iros2013/{name}"))
     # Learned from every other motion, so that the test is a fast one.
     some = library.select(lambda motion: motion.index % 2 == 0)
-    config = GoalConfig(n_postures=10)
-    model = fit_goal_model(reach_lessons(some, HUMAN, config), HUMAN, config, without=(UNSEEN,))
+    config = PlaceSettings(n_postures=10)
+    model = fit_place_model(reach_lessons(some, HUMAN, config), HUMAN, config, without=(UNSEEN,))
     assert model.n_motions < len(some)
-    goals = GoalPlaces.of_library(some, HUMAN)
-    classifier = GoalClassifier(HUMAN, model=model, goals=goals)
+    goals = Places.of_library(some, HUMAN)
+    classifier = PlaceClassifier(HUMAN, model=model, places=goals)
     right, unknown = [], {True: [], False: []}
     for motion in library.of_class(UNSEEN)[1::2]:
         for given in (True, False):
             classifier.start()
-            classifier.set_goals(goals if given else goals.without(UNSEEN))
+            classifier.set_places(
+                goals
+                if given
+                else Places.of({label: place for label, place in goals.by_label.items() if label != UNSEEN})
+            )
             until = chosen_postures(len(motion), 10)[5] + 1
             for q, t_s in zip(motion.q[:until], motion.t_s[:until].tolist(), strict=True):
                 posterior = classifier.update(q, t_s)

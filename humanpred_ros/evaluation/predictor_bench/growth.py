@@ -16,7 +16,8 @@ from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.placement import placed, turn_and_shift
 from humanpred_ros.occupancy.predictor import Predictor, PredictorRequest, make_predictor
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR
-from humanpred_ros.reaching.futures import ReachFuturesConfig
+from humanpred_ros.reaching.futures import ReachFuturesSettings
+from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
 from humanpred_ros.recognition.training import TrainedModel, train_model
 
 #: Lengths of the motions whose last postures are timed, and how many of these.
@@ -52,11 +53,11 @@ def growth_of_reaching(everybody: Sequence[People], report: Callable[[str], None
 
     First postures of reaches, when every place is as probable as any other: the most that `reaching` ever does.
     """
-    futures = ReachFuturesConfig().n_samples
+    futures = ReachFuturesSettings().n_samples
     for count in _PLACES:
         for people in everybody:
             report(f"{count} places, {people.human_name}")
-            predictor = people.knowledge.predictor(people.grid(), np.eye(4), people.places(count))
+            predictor = ReachingPredictor(people.knowledge, people.grid(), np.eye(4), people.places(count).by_label)
             begun = (list(people.played) * _FIRST_POSTURES)[:_FIRST_POSTURES]
             timing = Timing.of(update_seconds(predictor, begun, n_frames=1))
             yield Growth(

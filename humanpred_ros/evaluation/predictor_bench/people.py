@@ -11,8 +11,8 @@ from humanpred_ros.evaluation.occupancy_runs import P1_RESOLUTION_M, grid_around
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel, human_named, name_of_human
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.reaching.places import GoalPlaces, reach_ends
-from humanpred_ros.reaching.reach_sources import ReachKnowledge
+from humanpred_ros.reaching.places import Places, reach_ends
+from humanpred_ros.reaching.reach_knowledge import ReachKnowledge
 from humanpred_ros.recognition.training import TrainedModel, train_model
 
 #: Where a library shows fewer places than are told, it is told the same ones again, so much higher.
@@ -68,10 +68,10 @@ class People:
         """Return a grid of P1's size around them."""
         return grid_around(self.training, self.human, resolution_m)
 
-    def places(self, count: int) -> GoalPlaces:
+    def places(self, count: int) -> Places:
         """Return `count` places in their frame: of the classes, or where each motion ended if there are none."""
         ends = reach_ends(self.training, self.human)
-        shown = GoalPlaces.of_ends(ends).places_m if self.training.labels else np.array([end.place_m for end in ends])
+        shown = Places.of_ends(ends).places_m if self.training.labels else np.array([end.place_m for end in ends])
         k = np.arange(count)
         higher = np.outer(k // len(shown), (0.0, 0.0, _HIGHER_M))
-        return GoalPlaces(tuple(k.tolist()), shown[k % len(shown)] + higher)
+        return Places(tuple(k.tolist()), shown[k % len(shown)] + higher)

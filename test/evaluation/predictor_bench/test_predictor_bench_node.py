@@ -32,7 +32,7 @@ from humanpred_ros.evaluation.predictor_bench.node import (
 )
 from humanpred_ros.evaluation.predictor_bench.one_core import cores_of, hold_to_one_core
 from humanpred_ros.evaluation.predictor_bench.people import People
-from humanpred_ros.reaching.futures import ReachFuturesConfig
+from humanpred_ros.reaching.futures import ReachFuturesSettings
 
 HOLDS = pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs a system that holds processes to cores")
 MS = 1_000_000
@@ -52,7 +52,7 @@ def result(predictor: str = "reaching", slow_hz: float = 20.0, cores: int | None
 
 
 def test_the_issues_case() -> None:
-    assert (PLACES, TARGET_HZ, ReachFuturesConfig().n_samples) == (8, 5.0, 16)
+    assert (PLACES, TARGET_HZ, ReachFuturesSettings().n_samples) == (8, 5.0, 16)
 
 
 def test_the_rate_is_that_of_occupancies_not_of_postures() -> None:

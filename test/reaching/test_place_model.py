@@ -10,23 +10,26 @@ from reaching_people import MODEL as MOCAP
 from reaching_people import recording
 from small_library import small_library
 
-from humanpred_ros.errors import ArrayError, HumanModelError, UsageError
+from humanpred_ros.errors import ArrayError, HumanModelError, SettingsError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.reaching.excess_cost import N_PARTS, PARTS, REACHED_M, excess_costs
-from humanpred_ros.reaching.place_learning import (
+from humanpred_ros.reaching.place_model import (
+    PRIOR_WEIGHTS,
+    PlaceModel,
+    PlaceSettings,
     ReachLesson,
     _fit_weights,
-    fit_goal_model,
-    learn_goal_model,
+    fit_place_model,
+    learn_place_model,
     reach_lessons,
+    unknown_probability,
 )
-from humanpred_ros.reaching.place_model import PRIOR_WEIGHTS, GoalConfig, GoalModel, unknown_probability
-from humanpred_ros.reaching.places import GoalPlaces
+from humanpred_ros.reaching.places import Places
 
 HUMAN = HumanModel.kinect12()
-CONFIG = GoalConfig()
+CONFIG = PlaceSettings()
 
 
 @cache
@@ -40,8 +43,8 @@ def lessons() -> tuple[ReachLesson, ...]:
 
 
 @cache
-def learned() -> GoalModel:
-    return fit_goal_model(lessons(), HUMAN, CONFIG)
+def learned() -> PlaceModel:
+    return fit_place_model(lessons(), HUMAN, CONFIG)
 
 
 def made_up_choices(weights: FloatArray, n_motions: int, seed: int, n_places: int = 5) -> list[FloatArray]:
@@ -66,15 +69,15 @@ def test_the_weights_by_which_goals_were_chosen_are_found_again() -> None:
 
 def test_without_motions_weights_are_the_prior_ones_and_a_few_move_them_little() -> None:
     true = np.array([5.0, 30.0, 1.0, 3.0, 0.0, 25.0, 12.0])
-    assert learn_goal_model([], HUMAN).n_motions == 0
-    np.testing.assert_array_equal(learn_goal_model([], HUMAN).weights, PRIOR_WEIGHTS)
+    assert learn_place_model([], HUMAN).n_motions == 0
+    np.testing.assert_array_equal(learn_place_model([], HUMAN).weights, PRIOR_WEIGHTS)
     few, many = (_fit_weights(made_up_choices(true, n, 1)) for n in (5, 3000))
     assert np.abs(few - PRIOR_WEIGHTS).max() < 0.5 * np.abs(many - PRIOR_WEIGHTS).max()
 
 
 def test_posteriors_are_calibrated_when_people_choose_as_the_model_says() -> None:
     true = np.array([5.0, 20.0, 1.0, 3.0, 0.0, 25.0, 12.0])
-    model = GoalModel(_fit_weights(made_up_choices(true, 3000, 2)))
+    model = PlaceModel(_fit_weights(made_up_choices(true, 3000, 2)))
     costs = np.concatenate(made_up_choices(true, 3000, 3))
     likelihood = np.exp(-(costs @ model.weights))
     p = likelihood / likelihood.sum(axis=1, keepdims=True)
@@ -102,8 +105,8 @@ def test_none_of_the_places_is_as_probable_as_other_places_explain_the_reach_bet
 
 
 def test_true_goals_are_more_probable_than_by_the_prior_weights() -> None:
-    def log_loss(model: GoalModel) -> float:
-        places = GoalPlaces.of_ends([lesson.end for lesson in lessons()])
+    def log_loss(model: PlaceModel) -> float:
+        places = Places.of_ends([lesson.end for lesson in lessons()])
         losses = []
         for lesson in lessons():
             log_likelihood = -(excess_costs(lesson.rows, places.places_m) @ model.weights)
@@ -115,15 +118,15 @@ def test_true_goals_are_more_probable_than_by_the_prior_weights() -> None:
     model = learned()
     assert model.n_motions == 24
     assert (model.weights >= 0).all()
-    hand_only = GoalModel(np.where(np.array(PARTS) == "body", 0.0, model.weights))
-    assert log_loss(hand_only) < log_loss(GoalModel.prior()) + 0.02
+    hand_only = PlaceModel(np.where(np.array(PARTS) == "body", 0.0, model.weights))
+    assert log_loss(hand_only) < log_loss(PlaceModel.prior()) + 0.02
     assert model.ends is not None
 
 
 def test_nothing_is_learned_of_a_label_left_out() -> None:
     rest = library().select(lambda motion: motion.label != 10)
-    without = fit_goal_model(lessons(), HUMAN, CONFIG, without=(10,))
-    anew = learn_goal_model(rest, HUMAN)
+    without = fit_place_model(lessons(), HUMAN, CONFIG, without=(10,))
+    anew = learn_place_model(rest, HUMAN)
     np.testing.assert_allclose(without.weights, anew.weights, rtol=1e-6)
     assert without.ends is not None
     assert anew.ends is not None
@@ -133,21 +136,23 @@ def test_nothing_is_learned_of_a_label_left_out() -> None:
 
 
 def test_given_places_are_used_and_motions_without_one_left_out() -> None:
-    places = GoalPlaces.of_library(library(), HUMAN)
-    model = learn_goal_model(library(), HUMAN, places.without(20))
+    places = Places.of_library(library(), HUMAN)
+    model = learn_place_model(
+        library(), HUMAN, Places.of({label: place for label, place in places.by_label.items() if label != 20})
+    )
     assert model.n_motions == 18
-    off = places.with_goal(0, places.place(0) + np.array([0.0, 0.0, 0.4]))
-    assert np.abs(learn_goal_model(library(), HUMAN, off).weights - learned().weights).max() > 0.1
+    off = Places.of({**places.by_label, 0: places.by_label[0] + np.array([0.0, 0.0, 0.4])})
+    assert np.abs(learn_place_model(library(), HUMAN, off).weights - learned().weights).max() > 0.1
 
 
 def test_one_goal_or_goals_in_one_place_teach_nothing_and_that_is_no_error() -> None:
     single = library().select(lambda motion: motion.label == 0)
     for motions in (single, library()):
-        places = GoalPlaces((0, 10), np.array([[0.5, 0.0, 1.0], [0.5, 0.02, 1.0]]))
-        assert learn_goal_model(motions, HUMAN, places).n_motions == 0
-    assert learn_goal_model(single, HUMAN).n_motions == 0
+        places = Places((0, 10), np.array([[0.5, 0.0, 1.0], [0.5, 0.02, 1.0]]))
+        assert learn_place_model(motions, HUMAN, places).n_motions == 0
+    assert learn_place_model(single, HUMAN).n_motions == 0
     unlabelled = [Motion(m.t_s, m.q, m.dof_names) for m in library().motions[:3]]
-    assert learn_goal_model(unlabelled, HUMAN).n_motions == 0
+    assert learn_place_model(unlabelled, HUMAN).n_motions == 0
 
 
 def test_people_seen_by_motion_capture_teach_too() -> None:
@@ -159,11 +164,11 @@ def test_people_seen_by_motion_capture_teach_too() -> None:
             Motion(active.t_s, active.q, active.dof_names, 0, seed, "mocap"),
             Motion(active.t_s, back, active.dof_names, 1, seed, "mocap"),
         ]
-    model = learn_goal_model(motions, MOCAP)
+    model = learn_place_model(motions, MOCAP)
     assert model.n_motions == 8
     assert model.ends is not None
     with pytest.raises(HumanModelError):
-        learn_goal_model(motions, HUMAN)
+        learn_place_model(motions, HUMAN)
 
 
 def test_lessons_hold_what_was_reached() -> None:
@@ -177,12 +182,12 @@ def test_lessons_hold_what_was_reached() -> None:
 @pytest.mark.parametrize("weights", [np.ones(3), -np.ones(N_PARTS), np.full(N_PARTS, np.nan)])
 def test_impossible_models_are_refused(weights: FloatArray) -> None:
     with pytest.raises(ArrayError):
-        GoalModel(weights)
+        PlaceModel(weights)
 
 
 @pytest.mark.parametrize(
     "setting", [{"unknown_prior": 0.0}, {"unknown_prior": 1.0}, {"n_postures": 1}, {"apart_m": -1.0}]
 )
 def test_impossible_settings_are_refused(setting: dict[str, float]) -> None:
-    with pytest.raises(UsageError):
-        GoalConfig(**setting)  # type: ignore[arg-type]
+    with pytest.raises(SettingsError, match=next(iter(setting))):
+        PlaceSettings(**setting)  # type: ignore[arg-type]

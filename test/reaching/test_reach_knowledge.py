@@ -18,10 +18,10 @@ from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import MotionLibrary, unwrap_angles
 from humanpred_ros.occupancy.predictor import PredictorRequest, make_predictor
 from humanpred_ros.reaching.features import N_FEATURES, NAMED_WEIGHTS
-from humanpred_ros.reaching.learner import ReachWeights
-from humanpred_ros.reaching.places import GoalPlaces
-from humanpred_ros.reaching.reach_sources import ReachKnowledge, library_of_model, reach_weights
-from humanpred_ros.reaching.weights import save_weights
+from humanpred_ros.reaching.places import Places
+from humanpred_ros.reaching.reach_knowledge import ReachKnowledge, library_of_model
+from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
+from humanpred_ros.reaching.weights import ReachWeights, reach_weights, save_weights
 from humanpred_ros.recognition.training import TrainedModel, train_model
 
 HUMAN = HumanModel.kinect12()
@@ -53,9 +53,11 @@ def test_a_model_remembers_whole_motions_in_order() -> None:
 
 def test_a_model_file_is_as_good_as_the_library() -> None:
     by_model = make_predictor("reaching", PredictorRequest(HUMAN, GRID, np.eye(4), model=trained()))
-    by_library = ReachKnowledge.of_library(library(), HUMAN).predictor(GRID, np.eye(4))
+    by_library = ReachingPredictor(ReachKnowledge.of_library(library(), HUMAN), GRID, np.eye(4))
     motion = small_library(3, 1, 80, there_and_back=True, seed=7).motions[2]
-    np.testing.assert_allclose(by_model.goals.places_m, by_library.goals.places_m, atol=0.02)
+    assert isinstance(by_model, ReachingPredictor)
+    for label, place in by_library.places.items():
+        np.testing.assert_allclose(by_model.places[label], place, atol=0.02)
     for q, t_s in zip(motion.q[:40], motion.t_s.tolist(), strict=False):
         a, b = by_model.update(q, t_s), by_library.update(q, t_s)
     assert a.posterior is not None
@@ -69,21 +71,23 @@ def test_explicit_places_come_before_the_librarys() -> None:
     knowledge = ReachKnowledge.of_library(library(), HUMAN)
     assert knowledge.places is not None
     assert knowledge.places.labels == (0, 10, 20)
-    told = GoalPlaces((7,), np.array([[0.4, 0.0, 0.9]]))
-    predictor = knowledge.predictor(GRID, np.eye(4), told)
-    posterior = predictor.update(REST, 0.0).posterior
-    assert posterior is not None
-    assert posterior.labels == (7,)
+    predictor = ReachingPredictor(knowledge, GRID, np.eye(4), {7: [0.4, 0.0, 0.9]})
+    for labels, places in (((7,), predictor.places), ((0, 10, 20), None)):
+        predictor.set_places(places)
+        predictor.start()
+        posterior = predictor.update(REST, 0.0).posterior
+        assert posterior is not None
+        assert posterior.labels == labels
 
 
 def test_a_library_without_classes_needs_places() -> None:
     unlabelled = MotionLibrary("bare", tuple(replace(m, label=None, index=k) for k, m in enumerate(library())))
     knowledge = ReachKnowledge.of_library(unlabelled, HUMAN)
-    with pytest.raises(UsageError, match=r"wanted places .* bare has no classes"):
-        knowledge.predictor(GRID, np.eye(4))
-    told = GoalPlaces.of_library(library(), HUMAN)
+    with pytest.raises(UsageError, match=r"wanted at least one place .* bare has no classes"):
+        ReachingPredictor(knowledge, GRID, np.eye(4))
+    listed = Places.of_library(library(), HUMAN)
     motion = small_library(3, 1, 80, there_and_back=True, seed=7).motions[1]
-    predictor = knowledge.predictor(GRID, np.eye(4), told)
+    predictor = ReachingPredictor(knowledge, GRID, np.eye(4), listed.by_label)
     for q, t_s in zip(motion.q[:35], motion.t_s.tolist(), strict=False):
         prediction = predictor.update(q, t_s)
     assert prediction.posterior is not None
@@ -91,16 +95,17 @@ def test_a_library_without_classes_needs_places() -> None:
 
 
 def test_on_a_stream_places_may_come_and_go_at_rest_and_in_motion() -> None:
-    told = GoalPlaces.of_library(library(), HUMAN)
-    predictor = ReachKnowledge.of_library(library(), HUMAN).predictor(GRID, np.eye(4), told, onsets=True)
+    listed = Places.of_library(library(), HUMAN).by_label
+    knowledge = ReachKnowledge.of_library(library(), HUMAN)
+    predictor = ReachingPredictor(knowledge, GRID, np.eye(4), listed, onsets=True)
     motion = small_library(3, 1, 80, there_and_back=True, seed=7).motions[1]
     rest = np.repeat(motion.q[:1], 60, axis=0) + np.random.default_rng(1).normal(0.0, 0.002, (60, 12))
     labels, best = [], []
     for k, q in enumerate(np.vstack([rest, motion.q[:50]])):
         if k == 30:
-            predictor.set_goals(told.without(10).with_goal(99, told.places_m[1]))
+            predictor.set_places({0: listed[0], 20: listed[20], 99: listed[10]})
         if k == 90:
-            predictor.set_goals(predictor.goals.without(20))
+            predictor.set_places({label: place for label, place in predictor.places.items() if label != 20})
         posterior = predictor.update(q, k / 60).posterior
         assert posterior is not None
         labels.append(posterior.labels)
@@ -116,8 +121,9 @@ def test_where_motion_capture_jumps_nothing_is_learned() -> None:
     assert knowledge.places is None
     assert len(knowledge.left_out) == 1
     assert len(knowledge.model.trained_on) == 6
-    told = GoalPlaces((1,), np.array([[1.9, 1.3, 1.0]]))
-    predictor = knowledge.predictor(VoxelGrid((0.0, 0.0, 0.0), 0.05, (60, 60, 40)), np.eye(4), told)
+    grid = VoxelGrid((0.0, 0.0, 0.0), 0.05, (60, 60, 40))
+    predictor = ReachingPredictor(knowledge, grid, np.eye(4), {1: [1.9, 1.3, 1.0]})
+    assert "mistracked" in predictor.notes[0]
     probability = predictor.update(recorded.motions[0].q[0], 0.0).occupancy.probability
     assert probability.max() == 1.0
     assert ((probability > 0.0) & (probability < 1.0)).any()
