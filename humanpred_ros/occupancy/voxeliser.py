@@ -21,7 +21,7 @@ from humanpred_ros.geometry.compiled import exact, exact_part
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 
-#: Distance between points on the body's surface (P1, facts 3).
+#: Distance between points on the body's surface (P1; docs/papers.md, P1 occupancy).
 DEFAULT_SPACING_M = 0.02
 
 #: Points handled at a time: their coordinates and indices stay in the processor's first cache.

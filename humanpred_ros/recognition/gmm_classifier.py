@@ -217,12 +217,13 @@ class GmmClassifier(Classifier):
     def __init__(self, human: HumanModel, settings: Settings | None = None) -> None:
         super().__init__(human, settings)
         self.classes: ClassMixtures | None = None
-        self._library: MotionLibrary | None = None
+        #: What mixtures with the phase are fitted to when expected motions are asked for; empty if these have it.
+        self._motions: tuple[Motion, ...] = ()
         self._expected_q: FloatArray | None = None
 
     def fit(self, library: MotionLibrary) -> GmmClassifier:
         """Learn one mixture per class; return self. Raises LibraryFormatError if the library does not suffice."""
-        self._library = library
+        self._remember(library)
         return self._take(fit_class_mixtures(library, self.settings))
 
     def fit_without(self, library: MotionLibrary, name: str) -> GmmClassifier:
@@ -232,12 +233,12 @@ class GmmClassifier(Classifier):
         other = GmmClassifier(self.human, self.settings)
         if label is None:
             return other.fit(rest)
-        other._library = rest
+        other._remember(rest)
         return other._take(fit_class_mixtures(rest, self.settings, known=self._fitted(), changed=label))
 
     def fresh(self, settings: Settings | None = None) -> GmmClassifier:
         other = GmmClassifier(self.human, settings or self.settings)
-        other._library, other._expected_q = self._library, self._expected_q
+        other._motions, other._expected_q = self._motions, self._expected_q
         return other._take(self._fitted())
 
     def state(self) -> dict[str, NDArray[Any]]:
@@ -280,8 +281,9 @@ class GmmClassifier(Classifier):
         """
         if self._expected_q is None:
             classes = self._fitted()
-            if not classes.has_phase and self._library is not None:
-                classes = fit_class_mixtures(self._library, self.settings.replaced(phase_feature=True))
+            if not classes.has_phase:
+                library = MotionLibrary("the library learned from", self._motions)
+                classes = fit_class_mixtures(library, self.settings.replaced(phase_feature=True))
             self._expected_q = expected_motions(classes, self.settings)
         return self._expected_q
 
@@ -343,6 +345,10 @@ class GmmClassifier(Classifier):
         exponent = evidence + self._log_prior
         weight = np.exp(exponent - exponent.max())
         return ClassPosterior(classes.labels, weight / weight.sum(), evidence, t_s, n_frames)
+
+    def _remember(self, library: MotionLibrary) -> None:
+        # Not the library itself: its provenance cannot be copied, and classifiers are.
+        self._motions = () if self.settings.phase_feature else library.motions
 
     def _take(self, classes: ClassMixtures) -> GmmClassifier:
         if classes.has_phase != self.settings.phase_feature:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from dataclasses import replace
 from functools import cache
 
@@ -423,3 +425,14 @@ def test_the_expected_motion_of_a_class_leads_where_its_motions_lead() -> None:
         assert np.linalg.norm(HUMAN.forward(q[-1])["right_palm"] - np.mean(ends, axis=0)) < 0.03
     # A classifier without the phase needs mixtures with it beside its own.
     np.testing.assert_array_equal(without.expected_q, with_phase.expected_q)
+
+
+@pytest.mark.parametrize("phase_feature", [True, False])
+def test_a_classifier_can_be_copied_and_sent_to_another_process(phase_feature: bool) -> None:
+    library = replace(small_library(2, 3), provenance={"made": "here"})
+    fitted_one = GmmClassifier(HUMAN, SMALL.replaced(phase_feature=phase_feature)).fit(library)
+    motion = unseen()
+    expected = posteriors(fitted_one, motion)
+    for copied in (copy.deepcopy(fitted_one), pickle.loads(pickle.dumps(fitted_one))):
+        np.testing.assert_array_equal(posteriors(copied, motion), expected)
+        np.testing.assert_array_equal(copied.expected_q, fitted_one.expected_q)
