@@ -74,7 +74,6 @@ setup(
         "PyYAML>=6.0.1",
         "joblib>=1.3",
         "pydantic>=2.12",
-        "tyro>=0.9",
         "yourdfpy>=0.0.56",
         "matplotlib>=3.8",
         "Jinja2>=3.1",

@@ -45,6 +45,13 @@ def test_the_newest_version_of_the_changelog_has_the_date_of_the_citation() -> N
     assert f"{__version__} ({date.group(1)})" in text_of("CHANGELOG.rst")
 
 
+def test_what_is_cited_is_in_the_repository() -> None:
+    """The notes the project began with are not part of it: docs/papers.md is what docstrings cite."""
+    outside = re.compile(r"facts,? (?:sections? )?\d|DESIGN\.md|facts: i")
+    citing = [name for name in tracked_texts() if name.startswith("humanpred_ros/") and outside.search(text_of(name))]
+    assert citing == []
+
+
 def test_no_path_of_a_machine_is_committed() -> None:
     machine = re.compile(r"(?<![\w.])/(?:work|farm|root)/|/home/[a-z]")
     naming = [name for name in tracked_texts() if name != "test/test_project.py" and machine.search(text_of(name))]

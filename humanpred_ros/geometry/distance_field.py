@@ -17,7 +17,7 @@ from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.geometry.shapes import Obstacle, Shape
 
 DEFAULT_RESOLUTION_M = 0.025
-"""Half the voxel edge of the paper's distance transform (facts section 4: 0.05 m)."""
+"""Half the voxel edge of the paper's distance transform (docs/papers.md, P1 occupancy: 0.05 m)."""
 
 
 @dataclass(frozen=True, eq=False)

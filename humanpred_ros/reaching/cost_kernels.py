@@ -15,7 +15,7 @@ from humanpred_ros.geometry.compiled import fast, fast_part
 from humanpred_ros.geometry.lattice_kernels import all_above, nearest_nodes
 from humanpred_ros.stomp.cost_kernels import COST, ROWS, add_obstacles, mark_ends
 
-# P2's rules over offsets -2..+3 (facts section 4); see `stencils.RULES`.
+# P2's rules over offsets -2..+3 (docs/papers.md, P2 features).
 _V = tuple(np.float32(c / 6.0) for c in (-2.0, -3.0, 6.0, -1.0))
 _A = tuple(np.float32(c / 12.0) for c in (-1.0, 16.0, -30.0, 16.0, -1.0))
 _J = tuple(np.float32(c / 12.0) for c in (1.0, -17.0, 46.0, -46.0, 17.0, -1.0))

@@ -41,7 +41,7 @@ def test_the_papers_people_fit(name: str) -> None:
     library = load_library(shared_data(f"iros2013/{name}"))
     grid = grid_around(library, HUMAN)
     inside = [bool((grid.flat_index(HUMAN.surface_points(motion.q[::20], 0.1)) >= 0).all()) for motion in library]
-    assert sum(inside) >= len(library) - 1  # library_b has one that leaves the room (facts 1)
+    assert sum(inside) >= len(library) - 1  # library_b has one that leaves the room
 
 
 def test_other_resolutions_fill_the_same_box() -> None:

@@ -118,7 +118,7 @@ def test_quaternions_have_the_signs_of_the_authors_library() -> None:
 
 
 def test_the_papers_recordings_are_as_far_from_themselves_as_coded() -> None:
-    # facts section 7
+    # docs/papers.md, P2 distances
     wanted = {"0446-0578": 31.76, "0525-0657": 32.67, "0444-0585": 29.04, "0489-0589": 23.51, "0780-0871": 11.83,
               "1537-1608": 10.81, "2711-2823": 29.36}  # fmt: skip
     for entry in load_reach_recordings(shared_data("icra2015/demos")):

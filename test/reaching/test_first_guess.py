@@ -104,5 +104,5 @@ def test_on_p2s_recordings_it_beats_minimum_jerk() -> None:
     tasks = [(ReachTask.of(r), r.active.q) for r in load_reach_recordings(shared_data("icra2015/demos"))]
     distances = [metric.between(guess(task.start, task.goal, task.phase), q) for task, q in tasks]
     found = np.mean([[d.joint_m, d.task_m] for d in distances], axis=0)
-    assert found[0] < 23.12 - 2.0  # minimum jerk, facts section 8
+    assert found[0] < 23.12 - 2.0  # minimum jerk, docs/papers.md, P2 results
     assert found[1] < 18.93 - 2.0
