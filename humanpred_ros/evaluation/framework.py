@@ -310,7 +310,7 @@ def _csv_rows(report: Report) -> Iterator[tuple[str, Any, str, str, Any]]:
         name, *figures = table.columns
         for record in table.records:
             for column in figures:
-                yield table.title, name.of(record), column.title, column.unit, column.of(record)
+                yield table.title, name.of(record), column.title.strip(), column.unit, column.of(record)
 
 
 def _say(console: Console, text: str, style: str | None = None) -> None:

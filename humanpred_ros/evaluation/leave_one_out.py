@@ -1,4 +1,7 @@
-"""A predictor is tested on motions it has not learned from: one predictor per motion left out, sharing the rest."""
+"""Classifiers and predictors are tested on motions that they have not learned from: what that needs and how it is done.
+
+One predictor is made for each motion left out; what is learned from the other motions is shared where it can be.
+"""
 
 from __future__ import annotations
 
@@ -36,6 +39,79 @@ from humanpred_ros.recognition.forest import ForestSettings
 from humanpred_ros.recognition.forest_classifier import ForestClassifier
 from humanpred_ros.recognition.gmm_classifier import GmmClassifier, GmmSettings
 from humanpred_ros.recognition.training import seeded_settings, train_model
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What must be in a library for motions to be left out of it; every motion needs a class in any case.
+
+    Attributes:
+        n_classes, why_classes: the least number of classes, and what for.
+        n_motions, why_motions: the least number of motions in every class, and what for.
+    """
+
+    n_classes: int
+    why_classes: str
+    n_motions: int
+    why_motions: str
+
+    def lacking(self, library: MotionLibrary) -> str | None:
+        """Return what is missing, as the middle of a sentence; None if nothing is."""
+        if len(library.labels) < self.n_classes:
+            return f"at least {self.n_classes} classes {self.why_classes}, got {len(library.labels)}"
+        counts = ((label, len(library.of_class(label))) for label in library.labels)
+        few = next(((label, count) for label, count in counts if count < self.n_motions), None)
+        if few is None:
+            return None
+        return f"at least {self.n_motions} motions in every class {self.why_motions}, class {few[0]} has {few[1]}"
+
+
+#: For classifiers and predictors that learn the motions of all classes, the tested one's among them.
+LEARNS_CLASSES = Needs(2, "to tell apart", 3, "to have two left to learn from when one is left out")
+#: For those that learn from the other classes, and know the place of the tested motion's class.
+LEARNS_FROM_OTHERS = Needs(
+    2,
+    "to learn from others than the tested motion's",
+    2,
+    "to take the class's place from when one is left out",
+)
+
+
+def check_needs(library: MotionLibrary, needs: Mapping[str, Needs | None], option: str) -> None:
+    """Check that a library suffices for all entries that were asked for; those that can do without need None.
+
+    Args:
+        library: of which motions are left out.
+        needs: by name of the entry.
+        option: which takes the names, for the advice to leave some out.
+
+    Raises:
+        LibraryFormatError: names those that cannot be evaluated, what is missing, and the option that leaves them out.
+    """
+    learned = {name: need for name, need in needs.items() if need is not None}
+    unlabelled = [motion.name for motion in library if motion.label is None]
+    lacking: dict[str, list[str]] = {}
+    for name, need in learned.items():
+        if unlabelled:
+            found: str | None = f"a class for every motion, {unlabelled[0]} and {len(unlabelled) - 1} more have none"
+        else:
+            found = need.lacking(library)
+        if found is not None:
+            lacking.setdefault(found, []).append(name)
+    if not lacking:
+        return
+    refused = {name for names in lacking.values() for name in names}
+    wanted = "; ".join(f"for {' and '.join(names)} {found}" for found, names in lacking.items())
+    if unlabelled:
+        remedy = "label them or leave them out"
+    elif any(len(library.labels) < learned[name].n_classes for name in refused):
+        remedy = "record more"
+    else:
+        remedy = "record more or leave the class out"
+    others = [name for name in needs if name not in refused]
+    if others:
+        remedy += f", or evaluate only the others: {option} {','.join(others)}"
+    raise LibraryFormatError(f"library {library.name}: wanted {wanted}; {remedy}")
 
 
 @dataclass(frozen=True, eq=False)

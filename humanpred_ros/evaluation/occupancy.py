@@ -34,8 +34,13 @@ from humanpred_ros.evaluation.framework import (
     chosen_names,
     present,
 )
-from humanpred_ros.evaluation.leave_one_out import learned_from_class
-from humanpred_ros.evaluation.needs import LEARNS_CLASSES, LEARNS_FROM_OTHERS, Needs, check_needs
+from humanpred_ros.evaluation.leave_one_out import (
+    LEARNS_CLASSES,
+    LEARNS_FROM_OTHERS,
+    Needs,
+    check_needs,
+    learned_from_class,
+)
 from humanpred_ros.evaluation.occupancy_runs import (
     P1_RESOLUTION_M,
     LeftOutMotions,
@@ -364,5 +369,5 @@ def _by_percent(
     for result in evaluation.predictors:
         rows.append((result.name, *values(result.at_percent).tolist()))
         if result.unlisted_at_percent is not None:
-            rows.append(("  place not listed", *values(result.unlisted_at_percent).tolist()))
+            rows.append((f"{result.name}, place not listed", *values(result.unlisted_at_percent).tolist()))
     return Table.of_rows(title, ("predictor", *((str(percent), spec) for percent in evaluation.percents)), rows)

@@ -296,14 +296,8 @@ class CalibrationTable:
     def of(cls, outcomes: Sequence[MotionOutcome]) -> CalibrationTable:
         """Return the table of all predictions."""
         total = sum((score.reliability for outcome in outcomes for score in outcome.scores), Reliability.none())
-        return cls(
-            BIN_EDGES,
-            total.count.astype(np.float64),
-            total.mean_probability,
-            total.observed,
-            total.error,
-            total.error_predicted,
-        )
+        count = total.count.astype(np.float64)
+        return cls(BIN_EDGES, count, total.mean_probability, total.observed, total.error, total.error_predicted)
 
 
 @dataclass(frozen=True)

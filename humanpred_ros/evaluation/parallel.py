@@ -7,6 +7,7 @@ a task that draws random numbers gets its seed with the task.
 from __future__ import annotations
 
 import importlib
+import multiprocessing.resource_tracker
 import os
 import pickle
 import re
@@ -21,6 +22,7 @@ from contextlib import contextmanager
 from typing import Any, TypeAlias, TypeVar
 
 from joblib.externals.loky import ProcessPoolExecutor, process_executor
+from joblib.externals.loky.backend import resource_tracker as loky_resource_tracker
 from threadpoolctl import threadpool_limits
 
 from humanpred_ros.errors import UsageError
@@ -121,6 +123,8 @@ def _local_workers(payload: bytes, count: int) -> Iterator[_Submit]:
         count, initializer=_prepare_local_worker, initargs=(os.getpid(), payload), env=dict(_ONE_THREAD)
     )
     key = uuid.uuid4().hex
+    for tracker in (multiprocessing.resource_tracker, loky_resource_tracker):
+        tracker.ensure_running()  # else it is started with the workers, and lets interrupts through again
     try:
         yield lambda task: pool.submit(_run, key, None, task)
     finally:

@@ -26,7 +26,7 @@ from humanpred_ros.evaluation.framework import (
     chosen_names,
     present,
 )
-from humanpred_ros.evaluation.needs import check_needs
+from humanpred_ros.evaluation.leave_one_out import check_needs
 from humanpred_ros.evaluation.outputs import library_facts
 from humanpred_ros.evaluation.parallel import map_processes
 from humanpred_ros.evaluation.plots import recognition_plot
@@ -286,11 +286,11 @@ def _tables(
             *(Column(f"log-loss, clipped at {clip}", _entry("log_loss", clip), ".3f") for clip in results[0].log_loss),
             Column("Brier score", lambda r: r.brier, ".3f"),
             Column("calibration error", lambda r: r.calibration.error_mean, ".3f"),
-            Column("its floor", lambda r: r.calibration.floor_mean, ".3f"),
-            Column("percents pooled", lambda r: r.calibration.error_pooled, ".3f"),
-            Column("its floor", lambda r: r.calibration.floor_pooled, ".3f"),
-            Column("with no class counted", lambda r: r.calibration_with_unknown.error_mean, ".3f"),
-            Column("its floor", lambda r: r.calibration_with_unknown.floor_mean, ".3f"),
+            Column("  its floor", lambda r: r.calibration.floor_mean, ".3f"),
+            Column("  percents pooled", lambda r: r.calibration.error_pooled, ".3f"),
+            Column("  floor of that", lambda r: r.calibration.floor_pooled, ".3f"),
+            Column("  no class counted", lambda r: r.calibration_with_unknown.error_mean, ".3f"),
+            Column("  its own floor", lambda r: r.calibration_with_unknown.floor_mean, ".3f"),
         ),
         "Calibration error: mean over the motion. Floor: what perfect calibration would show with so few motions.",
     )
@@ -341,7 +341,7 @@ def _curve_table(results: Sequence[ClassifierResult], reference: ReferenceCurve 
     rows: list[tuple[Any, ...]] = []
     for result in results:
         rows.append((result.name, result.learned_of_class, *_figures(result.figures), result.reference_rms))
-        rows += [(f"  {g.group} ({g.n_motions})", None, *_figures(g.figures), None) for g in result.groups]
+        rows += [(f"{result.name}, {g.group} ({g.n_motions})", None, *_figures(g.figures), None) for g in result.groups]
     if reference is not None:
         rows.append(("published", None, *_figures(reference.figures), None))
     note = "Recognised from: percent of the motion seen, from which on it stays so."

@@ -12,8 +12,7 @@ import numpy as np
 
 from humanpred_ros import plugins
 from humanpred_ros.errors import HumanPredError
-from humanpred_ros.evaluation.leave_one_out import fitted_without
-from humanpred_ros.evaluation.needs import LEARNS_CLASSES, LEARNS_FROM_OTHERS, Needs
+from humanpred_ros.evaluation.leave_one_out import LEARNS_CLASSES, LEARNS_FROM_OTHERS, Needs, fitted_without
 from humanpred_ros.evaluation.recognition_scores import IntArray, percent_indices
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel, human_with

@@ -55,7 +55,7 @@ def test_everything_printed_is_in_the_json(library: Path, tmp_path: Path) -> Non
     assert f"{gmm['reference_rms']:.3f}" in printed
     assert "published" in printed
     assert "AUROC" not in printed, "says nothing about unknown motions"
-    assert "excluded only (1)" in printed
+    assert "gmm, excluded only (1)" in printed
     assert found["settings"]["seed"] == gmm["settings"]["seed"] == 5
     assert found["settings"]["speeds"] == [1.0, 1.3]
     assert found["library"]["name"] == "lib"

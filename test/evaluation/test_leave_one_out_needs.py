@@ -8,7 +8,7 @@ import pytest
 from small_library import small_library
 
 from humanpred_ros.errors import LibraryFormatError
-from humanpred_ros.evaluation.needs import LEARNS_CLASSES, LEARNS_FROM_OTHERS, Needs, check_needs
+from humanpred_ros.evaluation.leave_one_out import LEARNS_CLASSES, LEARNS_FROM_OTHERS, Needs, check_needs
 from humanpred_ros.evaluation.recognition_runs import REACHING, evaluated_names, needs_of, unknown_left_out
 from humanpred_ros.motion.motion import MotionLibrary
 
