@@ -15,6 +15,7 @@ from visualization_msgs.msg import MarkerArray
 from humanpred_ros import topics
 from humanpred_ros.errors import HumanPredError, UsageError
 from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.compiled import announced
 from humanpred_ros.human.model import human_named
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.nodes import conversions, qos
@@ -29,6 +30,7 @@ from humanpred_ros.occupancy.predictor import (
     make_predictor,
     needed_classifiers,
     predictor_type,
+    warm_up,
 )
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR
 from humanpred_ros.reaching.features import NAMED_WEIGHTS
@@ -119,9 +121,10 @@ class OccupancyPredictorNode(GraphNode):
         self.goals_m: FloatArray | None = None
         scene_places = places_in_world({place.label: place.place_m for place in scene.places}, scene.T_world_human)
         self.scene_places = None if scene_places is None else scene_places.by_label
-        self.predictor = (
-            self._reaching(scene, told) if settings.predictor == "reaching" else self._trained(scene, online)
-        )
+        with announced("occupancy predictor", self.get_logger().info):
+            self.predictor = (
+                self._reaching(scene, told) if settings.predictor == "reaching" else self._trained(scene, online)
+            )
         self.origin_ns = 0
         self.looked_ns: int | None = None
         self.last_ns: int | None = None
@@ -155,7 +158,9 @@ class OccupancyPredictorNode(GraphNode):
             online,
             settings.detect_onsets,
         )
-        return make_predictor(settings.predictor, request)
+        predictor = make_predictor(settings.predictor, request)
+        warm_up(predictor, self.human, None if model is None else model.library.motions[0])
+        return predictor
 
     def _model(self) -> TrainedModel:
         if self.settings.model:

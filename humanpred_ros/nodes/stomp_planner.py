@@ -14,6 +14,7 @@ from visualization_msgs.msg import MarkerArray
 from humanpred_ros import topics
 from humanpred_ros.errors import ArrayError, PlanningError
 from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.compiled import announced
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
@@ -79,8 +80,9 @@ class StompPlannerNode(GraphNode):
         super().__init__("stomp_planner")
         self.settings = settings = declare(self, StompPlannerSettings)
         self.scene = load_scene(settings.scene)
-        self.replanner = Replanner.for_scene(self.scene, settings.replanner_config())
-        self.replanner.warm_up()
+        with announced("STOMP planner", self.get_logger().info):
+            self.replanner = Replanner.for_scene(self.scene, settings.replanner_config())
+            self.replanner.warm_up()
         self.arm_q: FloatArray | None = None
         self.begun = self.holding = False
         self.origin_ns = self.last_ns = self.last_now_ns = 0

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from humanpred_ros import plugins
@@ -15,11 +16,15 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.geometry.shapes import Obstacle
 from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.motion import Motion
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
 from humanpred_ros.recognition.stream import StreamClassifier
 from humanpred_ros.recognition.training import TrainedModel
 from humanpred_ros.settings import Settings
+
+#: Enough for a motion to begin, go on and end.
+_WARM_UP_POSTURES = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,3 +189,21 @@ def make_predictor(name: str, request: PredictorRequest) -> Predictor:
                 "train one for this human"
             )
     return found.from_request(request)
+
+
+def warm_up(predictor: Predictor, human: HumanModel, motion: Motion | None = None) -> None:
+    """Predict from some postures and forget them: what is compiled at its first use must not cost a posture its time.
+
+    Args:
+        predictor: of this human; the next posture is the first of a new motion.
+        human: whose postures they are.
+        motion: a motion such as the predictor is going to see; None if two postures at rest will do.
+    """
+    predictor.start()
+    if motion is None:
+        for t_s in (0.0, 0.1):
+            predictor.update(np.clip(np.zeros(len(human.dof_names)), human.lower, human.upper), t_s)
+    else:
+        for k in np.unique(np.linspace(0, len(motion) - 1, _WARM_UP_POSTURES).astype(int)):
+            predictor.update(motion.q[k], float(motion.t_s[k]))
+    predictor.start()
