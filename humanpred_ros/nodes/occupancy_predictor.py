@@ -158,9 +158,10 @@ class OccupancyPredictorNode(GraphNode):
             online,
             settings.detect_onsets,
         )
-        predictor = make_predictor(settings.predictor, request)
-        warm_up(predictor, self.human, None if model is None else model.library.motions[0])
-        return predictor
+        # Not the one that is used: what it takes a standing person to look like outlives a motion.
+        spare = make_predictor(settings.predictor, request)
+        warm_up(spare, self.human, None if model is None else model.library.motions[0])
+        return make_predictor(settings.predictor, request)
 
     def _model(self) -> TrainedModel:
         if self.settings.model:

@@ -192,10 +192,10 @@ def make_predictor(name: str, request: PredictorRequest) -> Predictor:
 
 
 def warm_up(predictor: Predictor, human: HumanModel, motion: Motion | None = None) -> None:
-    """Predict from some postures and forget them: what is compiled at its first use must not cost a posture its time.
+    """Predict from some postures: what is compiled at its first use must not cost a posture its time.
 
     Args:
-        predictor: of this human; the next posture is the first of a new motion.
+        predictor: of this human, to be thrown away: a new motion does not make it forget all.
         human: whose postures they are.
         motion: a motion such as the predictor is going to see; None if two postures at rest will do.
     """
