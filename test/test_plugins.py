@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from importlib.metadata import EntryPoint
+from typing import Any
 
 import pytest
 
@@ -16,27 +18,30 @@ pytestmark = pytest.mark.core
 GROUP = plugins.CLASSIFIERS
 
 
+@dataclass(frozen=True)
 class _Package:
-    def __init__(self, name: str) -> None:
-        self.name = name
+    name: str
 
 
-class _Point(EntryPoint):
+@dataclass(frozen=True)
+class _Point:
     """An entry point of a package that is not installed."""
 
-    def __new__(cls, name: str, value: str, package: str) -> _Point:
-        point = super().__new__(cls)
-        point.__init__(name, value, package)  # type: ignore[misc]
-        return point
+    name: str
+    value: str
+    package: str
 
-    def __init__(self, name: str, value: str, package: str) -> None:
-        EntryPoint.__init__(self, name, value, GROUP)
-        vars(self).update(dist=_Package(package))
+    @property
+    def dist(self) -> _Package:
+        return _Package(self.package)
+
+    def load(self) -> Any:
+        return EntryPoint(self.name, self.value, GROUP).load()
 
 
 @pytest.fixture
-def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[EntryPoint]]:
-    points: list[EntryPoint] = [
+def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[_Point]]:
+    points: list[_Point] = [
         _Point("zebra", "humanpred_ros.recognition.forest_classifier:ForestClassifier", "humanpred-ros"),
         _Point("forest", "humanpred_ros.recognition.forest_classifier:ForestClassifier", "humanpred-ros"),
     ]
@@ -55,7 +60,7 @@ def test_built_in_ones_are_found_and_described() -> None:
             assert 10 < len(plugins.describe(group, name)) < 110
 
 
-def test_built_in_names_come_first(installed: list[EntryPoint]) -> None:
+def test_built_in_names_come_first(installed: list[_Point]) -> None:
     installed.append(_Point("ant", "ants:Ant", "ants"))
     assert plugins.names(GROUP) == ("forest", "zebra", "ant")
 
@@ -65,7 +70,7 @@ def test_an_unknown_name_is_refused_with_those_there_are() -> None:
         plugins.load(GROUP, "svm", Classifier)  # type: ignore[type-abstract]
 
 
-def test_what_cannot_be_used_is_refused_with_its_package(installed: list[EntryPoint]) -> None:
+def test_what_cannot_be_used_is_refused_with_its_package(installed: list[_Point]) -> None:
     installed += [_Point("lost", "no_such_module:Lost", "lost_pkg"), _Point("text", "humanpred_ros:__version__", "odd")]
     with pytest.raises(UsageError, match=r"classifier lost: no_such_module:Lost of package lost_pkg .*ModuleNotFound"):
         plugins.load(GROUP, "lost", Classifier)  # type: ignore[type-abstract]
@@ -73,13 +78,13 @@ def test_what_cannot_be_used_is_refused_with_its_package(installed: list[EntryPo
         plugins.load(GROUP, "text", Classifier)  # type: ignore[type-abstract]
 
 
-def test_one_name_of_two_packages_is_refused(installed: list[EntryPoint]) -> None:
+def test_one_name_of_two_packages_is_refused(installed: list[_Point]) -> None:
     installed.append(_Point("forest", "woods:Forest", "woods"))
     with pytest.raises(UsageError, match="forest: wanted one package to give it, got humanpred_ros and woods"):
         plugins.names(GROUP)
 
 
-def test_a_package_without_its_own_entry_points_was_not_installed(installed: list[EntryPoint]) -> None:
+def test_a_package_without_its_own_entry_points_was_not_installed(installed: list[_Point]) -> None:
     installed.clear()
     with pytest.raises(UsageError, match=r"humanpred_ros\.classifiers.* install the package again"):
         plugins.names(GROUP)

@@ -26,8 +26,6 @@ from humanpred_ros.reaching.reach_knowledge import ReachKnowledge
 from humanpred_ros.reaching.reach_model import ReachModel
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor, ReachingSettings
 
-pytestmark = pytest.mark.core
-
 HUMAN = HumanModel.kinect12()
 GRID = VoxelGrid((-1.2, -1.4, -0.2), 0.05, (52, 56, 44))
 QUICK = ReachingSettings(futures=ReachFuturesSettings(planned=False))
