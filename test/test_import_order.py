@@ -12,8 +12,6 @@ ORDER = (
     "geometry", "bags", "human", "motion", "recognition", "occupancy", "stomp", "reaching", "robot", "planning",
     "viewing", "api", "__init__", "evaluation", "nodes", "commands", "cli",
 )  # fmt: skip
-#: The same inside packages that have folders; what lies in the package itself comes last.
-INNER_ORDER = {}
 SHARED = {"errors", "plugins", "resources", "settings", "topics", "__version__"}
 ROS_MODULES = {
     "rclpy", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "rcl_interfaces", "rosgraph_msgs",
@@ -44,18 +42,6 @@ def test_imports_point_upwards(source: Path) -> None:
         if names[0] == "humanpred_ros" and len(names) > 1 and names[1] not in SHARED:
             assert part in ORDER, f"{part} is shared by all and must not import {module}"
             assert ORDER.index(names[1]) <= ORDER.index(part), f"{part} must not import {module}"
-
-
-@pytest.mark.parametrize("package", INNER_ORDER)
-def test_folders_inside_a_package_point_upwards(package: str) -> None:
-    order, root = INNER_ORDER[package], REPOSITORY / "humanpred_ros" / package
-    assert {path.parent.name for path in root.glob("*/__init__.py")} == set(order)
-    for source in sorted(root.glob("*/*.py")):
-        for module in imported_modules(source):
-            names = module.split(".")
-            if names[:2] == ["humanpred_ros", package]:
-                assert names[2] in order, f"{source.relative_to(root)} must not import {module}"
-                assert order.index(names[2]) <= order.index(source.parent.name), f"{source.relative_to(root)}: {module}"
 
 
 def test_every_package_has_its_place() -> None:

@@ -255,7 +255,7 @@ def test_the_place_that_is_not_told_is_the_tested_motions_own(monkeypatch: pytes
     played = occupancy_runs._played
 
     def noted(predictor: ReachingPredictor, *rest: Any) -> MotionOutcome:
-        shown.append(predictor.goals.labels)
+        shown.append(tuple(predictor.places))
         return played(predictor, *rest)
 
     monkeypatch.setattr(occupancy_runs, "_played", noted)

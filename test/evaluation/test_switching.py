@@ -100,7 +100,7 @@ def test_printed_written_and_drawn(report: Report, settings: SwitchingSettings, 
     text, file = io.StringIO(), tmp_path / "x.json"
     wanted = settings.replaced(json=file, plot=tmp_path / "x.png")
     present(wanted, Console(file=text, width=200), lambda *_: report)
-    for word in ("Fig. 9", "published prediction", "Step of the first switch", "returned"):
+    for word in ("Fig. 9", "published", "Step of the first switch", "returned"):
         assert word in text.getvalue()
     value = json.loads(file.read_text("utf-8"))
     assert value["persons"][0]["runs"][0]["steps"][0]["costs"].keys() == {"red", "blue"}
