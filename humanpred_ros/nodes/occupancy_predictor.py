@@ -14,8 +14,8 @@ from visualization_msgs.msg import MarkerArray
 
 from humanpred_ros import topics
 from humanpred_ros.errors import HumanPredError, UsageError
+from humanpred_ros.geometry import compiled
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.compiled import announced
 from humanpred_ros.human.model import human_named
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.nodes import conversions, qos
@@ -121,7 +121,7 @@ class OccupancyPredictorNode(GraphNode):
         self.goals_m: FloatArray | None = None
         scene_places = places_in_world({place.label: place.place_m for place in scene.places}, scene.T_world_human)
         self.scene_places = None if scene_places is None else scene_places.by_label
-        with announced("occupancy predictor", self.get_logger().info):
+        with compiled.announced("occupancy predictor", self.get_logger().info):
             self.predictor = (
                 self._reaching(scene, told) if settings.predictor == "reaching" else self._trained(scene, online)
             )

@@ -13,8 +13,8 @@ from visualization_msgs.msg import MarkerArray
 
 from humanpred_ros import topics
 from humanpred_ros.errors import ArrayError, PlanningError
+from humanpred_ros.geometry import compiled
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.compiled import announced
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
@@ -80,7 +80,7 @@ class StompPlannerNode(GraphNode):
         super().__init__("stomp_planner")
         self.settings = settings = declare(self, StompPlannerSettings)
         self.scene = load_scene(settings.scene)
-        with announced("STOMP planner", self.get_logger().info):
+        with compiled.announced("STOMP planner", self.get_logger().info):
             self.replanner = Replanner.for_scene(self.scene, settings.replanner_config())
             self.replanner.warm_up()
         self.arm_q: FloatArray | None = None
