@@ -27,7 +27,7 @@ class StepRow:
         margin: by how much the chosen goal was cheaper than the next one, negative where habit decided; None if there
             was no choice.
         reason: the planner's explanation.
-        out: why goals were out of the question, by name.
+        out: why goals could not be chosen, by name.
         instead: "hold" or "evade" where the arm did that rather than work on the chosen goal, whether this step decided
             it or kept to it; else empty.
     """

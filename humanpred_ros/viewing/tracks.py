@@ -134,7 +134,7 @@ class GoalPlan:
     Attributes:
         name: the goal.
         valid: whether the plan can be executed.
-        message: "chosen", "candidate", or why it was out of the question.
+        message: "chosen", "candidate", or why it could not be chosen.
         selection_cost: what goals are compared by; NaN if there is none.
         iterations: STOMP iterations done.
         terms: STOMP's cost terms by name.

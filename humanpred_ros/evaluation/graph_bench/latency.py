@@ -53,7 +53,7 @@ class Answers:
         trajectory_s: posture to trajectory, every replanning step that sent one.
         compute_s: what the planner itself says a step took.
         iterations: fewest STOMP iterations of a goal in each step, goals that were set aside left out; fewer than
-            asked for mean that time ran out or the goal was hopeless.
+            asked for mean that time ran out or the goal was far too expensive.
         late: steps whose plan came too late to be taken over.
         skipped: steps that were due and not taken, because the planner was still busy with the one before.
         unanswered: postures without an occupancy.
