@@ -17,19 +17,28 @@ import numpy as np
 import humanpred_ros as hp
 
 
+class RaisedElbowSettings(hp.Settings):
+    """Settings of `RaisedElbow`: `--set raised_elbow.highest_rad=0.3`."""
+
+    highest_rad: float = hp.setting(0.2, "the second joint costs nothing up to here", unit="rad")
+    weight: float = hp.setting(1.0, "factor of the term", low=0.0)
+
+
 class RaisedElbow(hp.CostTerm):
     """Costs 1 for each rad that the second joint is lowered beyond an angle."""
 
-    def __init__(self, highest_rad: float = 0.2, weight: float = 1.0) -> None:
-        super().__init__("raised_elbow", weight)
-        self.highest_rad = highest_rad
+    settings_type = RaisedElbowSettings
+
+    def __init__(self, settings: RaisedElbowSettings | None = None) -> None:
+        self.settings = settings or RaisedElbowSettings()
+        super().__init__("raised_elbow", self.settings.weight)
 
     @classmethod
     def build(cls, request: Any) -> RaisedElbow:
-        return cls()
+        return cls(request.settings)
 
     def evaluate(self, q: Any) -> tuple[Any, None]:
-        return np.maximum(q[..., 1] - self.highest_rad, 0.0).astype(np.float32), None
+        return np.maximum(q[..., 1] - self.settings.highest_rad, 0.0).astype(np.float32), None
 
 
 if __name__ == "__main__":

@@ -170,11 +170,12 @@ def add_flags(parser: argparse.ArgumentParser, settings_type: type[Settings]) ->
 
 
 class _Tuple(argparse.Action):
-    """Takes several words, and splits each at its commas."""
+    """Takes several words, also of a flag given again, and splits each at its commas but for NAME=VALUE."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option_string: Any = None) -> None:
-        parts = [part.strip() for value in values for part in value.split(",")]
-        setattr(namespace, self.dest, tuple(part for part in parts if part))
+        words = [(value,) if "=" in value else value.split(",") for value in values]
+        parts = [part.strip() for split in words for part in split]
+        setattr(namespace, self.dest, (*getattr(namespace, self.dest, ()), *(part for part in parts if part)))
 
 
 def flag(settings_type: type[Settings], name: str) -> str:

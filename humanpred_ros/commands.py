@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
+from humanpred_ros.plugins import SET, given_settings
 from humanpred_ros.resources import locate
 from humanpred_ros.settings import Settings, setting
 
@@ -24,8 +25,7 @@ class TrainSettings(Settings):
     out: Path = setting(..., "model file to write (.npz)")
     classifier: tuple[str, ...] = setting(("forest", "gmm"), "classifiers to train, by name; own ones, too")
     hold_out: int = setting(0, "first motions of each class not trained on", low=0)
-    components: int = setting(40, "Gaussians per class", low=1)
-    phase: bool = setting(True, "let the phase be a feature")
+    set: tuple[str, ...] = setting((), SET)
     seed: int = setting(0, "of training", low=0)
     frame_period: float = setting(_FRAME_PERIOD_S, "time between frames where a CSV has no times", unit="s")
 
@@ -34,17 +34,15 @@ def train(settings: TrainSettings, console: Console) -> int:
     """Learn a model from a motion library."""
     from humanpred_ros.human.model import human_with
     from humanpred_ros.motion.library_io import load_library
-    from humanpred_ros.recognition.gmm_classifier import GmmSettings
     from humanpred_ros.recognition.model_file import save_model
-    from humanpred_ros.recognition.training import seeded_settings, train_model
+    from humanpred_ros.recognition.training import classifier_settings, train_model
 
     library = load_library(locate(settings.library, "bags"), frame_period_s=settings.frame_period)
     if settings.hold_out:
         held_out = {m.name for label in library.labels for m in library.of_class(label)[: settings.hold_out]}
         library = library.select(lambda motion: motion.name not in held_out)
-    chosen = {name: seeded_settings(name, settings.seed) for name in settings.classifier}
-    if "gmm" in chosen:
-        chosen["gmm"] = GmmSettings(n_components=settings.components, phase_feature=settings.phase, seed=settings.seed)
+    given = given_settings(settings.set, settings.classifier)
+    chosen = {name: classifier_settings(name, settings.seed, given) for name in settings.classifier}
     with console.status(f"training on {len(library)} motions of {library.name}"):
         model = train_model(library, human_with(library.dof_names), chosen)
     save_model(model, settings.out)

@@ -7,15 +7,23 @@ A package offers them as entry points (`pyproject.toml`, `setup.cfg` or `setup.p
 
 The built-in ones are entry points of this package, declared in its setup.py. The name is what users write in node
 parameters, on the command line and in scenes; the first line of the class's docstring describes it in help texts.
+
+A class has a `settings_type`, whose fields users set by the same name: `--set nearest_end.scale_m=0.1` on the command
+line, the parameter `nearest_end.scale_m` of a node.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import TypeVar
+from typing import Any, TypeAlias, TypeVar
 
-from humanpred_ros.errors import UsageError
+import yaml
+
+from humanpred_ros.errors import SettingsError, UsageError
+from humanpred_ros.settings import Settings, spelled
 
 #: Groups of entry points.
 CLASSIFIERS = "humanpred_ros.classifiers"
@@ -26,10 +34,16 @@ COST_TERMS = "humanpred_ros.cost_terms"
 DEFAULT_CLASSIFIER = "forest"
 DEFAULT_PREDICTOR = "forecast"
 
+#: What the flag --set is, wherever it is.
+SET = "settings of what is chosen by name, each as NAME.SETTING=VALUE, for instance gmm.evidence=mean"
+
 _WORDS = {CLASSIFIERS: "classifier", PREDICTORS: "predictor", COST_TERMS: "cost term"}
 _PACKAGE = "humanpred_ros"
 
 T = TypeVar("T")
+S = TypeVar("S", bound=Settings)
+#: Values of settings by the name of a plug-in; in a settings class that another one holds, by name again.
+Given: TypeAlias = Mapping[str, Mapping[str, Any]]
 
 
 def names(group: str) -> tuple[str, ...]:
@@ -82,6 +96,81 @@ def describe(group: str, name: str) -> str:
     """Return one line on what a class does: the first line of its docstring. Imports it; raises as `load`."""
     text = (load(group, name, object).__doc__ or "").strip()
     return text.splitlines()[0].rstrip(".") if text else f"of package {_owner(_found(group)[name])}"
+
+
+def given_settings(words: Sequence[str], used: Iterable[str] | None = None) -> dict[str, dict[str, Any]]:
+    """Return settings of plug-ins that are given as texts.
+
+    Args:
+        words: each as NAME.SETTING=VALUE, the value as in YAML: `gmm.evidence=mean`, `gmm.window_frames=10`.
+        used: names of the plug-ins that are going to be used; those of all if None.
+
+    Raises:
+        SettingsError: a text of another form, or a setting of something that is not used.
+    """
+    groups = (CLASSIFIERS, PREDICTORS, COST_TERMS)
+    allowed = [name for group in groups for name in names(group)] if used is None else list(dict.fromkeys(used))
+    given: dict[str, dict[str, Any]] = {}
+    for word in words:
+        path, equals, text = word.partition("=")
+        name, *keys = path.strip().split(".")
+        if not equals or not keys or not all(keys):
+            raise SettingsError(f"--set: wanted NAME.SETTING=VALUE, as in gmm.evidence=mean, got {word!r}")
+        if name not in allowed:
+            raise SettingsError(
+                f"--set {word}: wanted a setting of what is used ({', '.join(allowed)}), got one of {name}"
+            )
+        try:
+            value = yaml.safe_load(text)
+        except yaml.YAMLError:
+            value = text
+        put_given(given, (name, *keys), value)
+    return given
+
+
+def put_given(given: dict[str, Any], path: Sequence[str], value: Any) -> None:
+    """Put a value into nested dictionaries, which are made as needed."""
+    for key in path[:-1]:
+        if not isinstance(given.get(key), dict):
+            given[key] = {}
+        given = given[key]
+    given[path[-1]] = value
+
+
+def parameters_of(given: Given) -> dict[str, Any]:
+    """Return given settings as ROS parameters, NAME.SETTING; none is no value in ROS, and means the default."""
+    flat: dict[str, Any] = {}
+    for name, values in given.items():
+        for key, value in values.items():
+            flat.update(
+                parameters_of({f"{name}.{key}": value}) if isinstance(value, dict) else {f"{name}.{key}": value}
+            )
+    return {name: value for name, value in flat.items() if value is not None}
+
+
+def settings_of(name: str, kind: type[S], given: Given, **defaults: Any) -> S:
+    """Return the settings of a plug-in.
+
+    Args:
+        name: of the plug-in.
+        kind: its `settings_type`.
+        given: by the user.
+        defaults: values of fields where the user gave none; those that `kind` does not have are passed over.
+
+    Raises:
+        SettingsError: a setting that it does not have, or a value that cannot be used, by NAME.SETTING.
+    """
+    own = dict(given.get(name, {}))
+    for key in own:
+        if key not in kind.model_fields:
+            close = get_close_matches(key, kind.model_fields, n=1)
+            advice = f"did you mean {close[0]}?" if close else f"it has {', '.join(kind.model_fields) or 'none'}"
+            raise SettingsError(f"{name}.{key}: {name} has no setting of that name; {advice}")
+    known = {key: value for key, value in defaults.items() if key in kind.model_fields}
+    try:
+        return kind(**{**known, **own})
+    except SettingsError as error:
+        raise SettingsError(spelled(error, kind, lambda key: f"{name}.{key}")) from None
 
 
 @cache

@@ -154,7 +154,7 @@ def test_a_model_made_for_another_human(
     library: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     model = tmp_path / "model.npz"
-    assert main(["train", str(library), "--out", str(model), "--components", "3"]) == 0
+    assert main(["train", str(library), "--out", str(model), "--set", "gmm.n_components=3"]) == 0
     longer_arm = HumanModel.kinect12().urdf.replace("0 -0.15 0", "0 -0.18 0")
     other = HumanModel(longer_arm)
     assert other.signature != HumanModel.kinect12().signature
@@ -170,7 +170,7 @@ def test_a_model_made_for_another_human(
 
 def test_a_damaged_model(library: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model = tmp_path / "model.npz"
-    assert main(["train", str(library), "--out", str(model), "--components", "3"]) == 0
+    assert main(["train", str(library), "--out", str(model), "--set", "gmm.n_components=3"]) == 0
     model.write_bytes(model.read_bytes()[:-2000])
     expect_refusal(
         [

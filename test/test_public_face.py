@@ -20,6 +20,7 @@ PRINTED = {
     "own_classifier.py": r"class 3, p = 0\.\d\d\n",
     "own_cost_term.py": r"smoothness: .*\nsmoothness, raised_elbow: ",
     "own_library.py": r"my_reaches: 12 motions; motion 0/0 is taken for class 0",
+    "own_predictor.py": r"3\.\d\d s: \d+ voxels, class 3\n",
     "own_scene.py": r"chosen: place \d",
     "whole_chain.py": r"class 3  goal place",
 }

@@ -20,12 +20,13 @@ from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.occupancy.predictor import check_predictor, needed_classifiers, predictor_type
-from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR
+from humanpred_ros.planning.replanner_config import ReplannerConfig
+from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR, SET, Given, given_settings, parameters_of
 from humanpred_ros.recognition.model_file import load_model, model_of
-from humanpred_ros.recognition.training import seeded_settings
+from humanpred_ros.recognition.training import classifier_settings
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import Scene, load_scene
-from humanpred_ros.settings import Settings, setting
+from humanpred_ros.settings import Settings, setting, setting_of
 from humanpred_ros.viewing.key_figures import print_summary
 from humanpred_ros.viewing.report import report_run
 from humanpred_ros.viewing.run_summary import RunSummary
@@ -51,8 +52,8 @@ class DemoSettings(Settings):
     )
     classifier: str = setting(DEFAULT_CLASSIFIER, "forest, or gmm (P1)")
     onsets: bool = setting(True, "find where the motion begins and ends; else the first posture begins it, as in P1")
-    evidence: str = setting("sum", "gmm: sum or mean of the postures' log densities")
-    window_frames: int = setting(0, "gmm: count only so many last postures; 0 counts all", low=0)
+    cost_terms: tuple[str, ...] = setting_of(ReplannerConfig, "cost_terms")
+    set: tuple[str, ...] = setting((), SET)
     seed: int = setting(0, "of the planner and of training", low=0)
     steps: int = setting(20, "replanning steps in the human motion", low=1)
     threshold: float = setting(0.001, "voxels at or below this probability are not published", low=0.0, high=1.0)
@@ -86,6 +87,7 @@ def run_demo(settings: DemoSettings, console: Console) -> RunSummary:
         HumanPredError: unusable input (before anything is written), or a node that failed.
     """
     check_predictor(settings.predictor, settings.classifier)
+    given = given_settings(settings.set, (settings.classifier, settings.predictor, *settings.cost_terms))
     scene = load_scene(settings.scene)
     library = load_library(locate(settings.library, "bags"))
     human = human_with(library.dof_names)
@@ -98,7 +100,7 @@ def run_demo(settings: DemoSettings, console: Console) -> RunSummary:
         training = training_part(library, motion, settings.hold_out)
         with console.status(f"training on {len(training)} motions of {library.name}"):
             names = needed_classifiers(settings.predictor, settings.classifier)
-            model = model_of(training, human, {name: seeded_settings(name, settings.seed) for name in names})
+            model = model_of(training, human, {name: classifier_settings(name, settings.seed, given) for name in names})
 
     folder.mkdir(parents=True)
     model_path = Path(settings.model or folder / "model.npz").resolve()
@@ -111,7 +113,7 @@ def run_demo(settings: DemoSettings, console: Console) -> RunSummary:
         f"goals {', '.join(goal.name for goal in scene.goals)}; run folder {folder}"
     )
     with NodeGroup(folder / "logs", free_domain_id()) as group:
-        _start_nodes(group, settings, bag, motion, model_path, folder)
+        _start_nodes(group, settings, given, bag, motion, model_path, folder)
         _follow(group, console)
     summary = report_run(folder)
     print_summary(summary, console)
@@ -153,7 +155,7 @@ def _new_folder(settings: DemoSettings, scene: Scene, motion: Motion) -> Path:
 
 
 def _start_nodes(
-    group: NodeGroup, settings: DemoSettings, bag: Path, motion: Motion, model: Path, folder: Path
+    group: NodeGroup, settings: DemoSettings, given: Given, bag: Path, motion: Motion, model: Path, folder: Path
 ) -> None:
     period_s = period_of(motion, settings.steps)
     info = {
@@ -172,8 +174,8 @@ def _start_nodes(
         "duration_s": repr(motion.duration_s),
         "hold_out": settings.hold_out,
         "steps": settings.steps,
-        "evidence": settings.evidence,
-        "window_frames": settings.window_frames,
+        "cost_terms": " ".join(settings.cost_terms),
+        "set": json.dumps(settings.set),
         "model": settings.model or "",
     }
     # With /clock published, stamps are simulated time; otherwise they are wall time, as on a real robot.
@@ -190,6 +192,8 @@ def _start_nodes(
             "scene": settings.scene,
             "period_s": period_s,
             "seed": settings.seed,
+            "cost_terms": list(settings.cost_terms),
+            **parameters_of(given),
             "lossless": settings.stepped,
             "controller": "simulated_arm",
             "listener": _TRACKER,
@@ -205,8 +209,7 @@ def _start_nodes(
             "human": name_of_human(motion.dof_names),
             "classifier": settings.classifier,
             "detect_onsets": settings.onsets,
-            "evidence": settings.evidence,
-            "window_frames": settings.window_frames,
+            **parameters_of(given),
             "threshold": settings.threshold,
             "lossless": settings.stepped,
             "listener": "stomp_planner",

@@ -38,7 +38,7 @@ from humanpred_ros.recognition.classifier import Classifier, classifier_type
 from humanpred_ros.recognition.forest import ForestSettings
 from humanpred_ros.recognition.forest_classifier import ForestClassifier
 from humanpred_ros.recognition.gmm_classifier import GmmClassifier, GmmSettings
-from humanpred_ros.recognition.training import seeded_settings, train_model
+from humanpred_ros.recognition.training import classifier_settings, train_model
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ class TrainedAnew(LeaveOneOut):
         rest = s.library.select(lambda motion: motion.name != name)
         classifier = DEFAULT_CLASSIFIER if self._name == "forecast" else s.classifier
         names = needed_classifiers(self._name, classifier)
-        settings = {name: s.gmm if name == "gmm" else seeded_settings(name, s.gmm.seed) for name in names}
+        settings = {name: s.gmm if name == "gmm" else classifier_settings(name, s.gmm.seed) for name in names}
         model = train_model(rest, s.human, settings)
         request = PredictorRequest(s.human, s.grid, s.T_world_human, model, classifier)
         return make_predictor(self._name, request)

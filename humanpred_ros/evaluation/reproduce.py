@@ -12,6 +12,8 @@ from humanpred_ros import topics
 from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.errors import BagError
 from humanpred_ros.evaluation.processes import NodeGroup, free_domain_id
+from humanpred_ros.planning.replanner_config import ReplannerConfig
+from humanpred_ros.plugins import given_settings, parameters_of
 
 _POLL_S = 0.05
 _SETTLE_S = 0.3
@@ -59,6 +61,8 @@ def replay_run(folder: Path, out: Path) -> Comparison:
                 "scene": info["scene"],
                 "period_s": float(info["period_s"]),
                 "seed": int(info["seed"]),
+                "cost_terms": info.get("cost_terms", " ".join(ReplannerConfig().cost_terms)).split(),
+                **parameters_of(given_settings(json.loads(info.get("set", "[]")))),
                 "lossless": True,
                 "listener": "occupancy_replay",
             },

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from rcl_interfaces.msg import SetParametersResult
@@ -21,7 +21,7 @@ from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.markers import occupancy_markers
-from humanpred_ros.nodes.parameters import declare
+from humanpred_ros.nodes.parameters import declare, declare_plugin, plugin_parameters
 from humanpred_ros.occupancy.predictor import (
     Prediction,
     Predictor,
@@ -32,18 +32,16 @@ from humanpred_ros.occupancy.predictor import (
     predictor_type,
     warm_up,
 )
-from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR
-from humanpred_ros.reaching.features import NAMED_WEIGHTS
+from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR, settings_of
 from humanpred_ros.reaching.places import places_from_text, places_in_world
 from humanpred_ros.reaching.reach_knowledge import ReachKnowledge
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor, ReachingSettings
 from humanpred_ros.reaching.weights import reach_weights
-from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.recognition.model_file import load_model
-from humanpred_ros.recognition.training import TrainedModel, train_model
+from humanpred_ros.recognition.training import TrainedModel, classifier_settings, train_model
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import Scene, load_scene
-from humanpred_ros.settings import Settings, setting, setting_of
+from humanpred_ros.settings import Settings, setting
 
 _MARKER_PERIOD_NS = 200_000_000
 #: How often it is looked at whether the person can get to the goals; people walk, but not far in that time.
@@ -59,17 +57,6 @@ class OccupancyPredictorSettings(Settings):
     classifier: str = setting(
         DEFAULT_CLASSIFIER, "how a partial motion is recognised: forest, gmm (P1), or an installed package's"
     )
-    evidence: Literal["sum", "mean"] = setting_of(
-        GmmSettings, "evidence", description="gmm only: sum or mean of the postures' log densities"
-    )
-    window_frames: int = setting_of(
-        GmmSettings,
-        "window_frames",
-        default=0,
-        description="gmm only: count only so many last postures; 0 counts all",
-        low=0,
-        high=100000,
-    )
     predictor: str = setting(
         DEFAULT_PREDICTOR,
         "forecast, swept_volume (P1), reaching (P2), a baseline (current, current_accumulated, constant_velocity), or "
@@ -80,11 +67,6 @@ class OccupancyPredictorSettings(Settings):
         ("",),
         "reaching only: where the hand may go, each 'label x y z' (world frame, m); [''] asks scene, then library",
         changeable=True,
-    )
-    reach_weights: str = setting_of(
-        ReachingSettings,
-        "weights",
-        description=f"reaching only: weights of P2's cost, {', '.join(NAMED_WEIGHTS)}, or a .json file",
     )
     detect_onsets: bool = setting(True, "find where motions begin and end; false: the first posture begins one")
     body_id: str = setting("body_0", "REP-155 body id listened to")
@@ -111,20 +93,22 @@ class OccupancyPredictorNode(GraphNode):
         scene = load_scene(settings.scene)
         self.human = human_named(settings.human)
         self.T_world_human = scene.T_world_human
-        online: dict[str, Any] = {}
-        if settings.classifier == "gmm":
-            online = {"evidence": settings.evidence, "window_frames": settings.window_frames or None}
         # Named wrongly, these should not cost a training first.
         check_predictor(settings.predictor, settings.classifier)
-        _ = GmmSettings(**online)
+        given = plugin_parameters(self, (settings.predictor, settings.classifier))
+        classifier_settings(settings.classifier, 0, given)
+        own = settings_of(settings.predictor, predictor_type(settings.predictor).settings_type, given)
         told = self._told(list(settings.places))
         self.goals_m: FloatArray | None = None
         scene_places = places_in_world({place.label: place.place_m for place in scene.places}, scene.T_world_human)
         self.scene_places = None if scene_places is None else scene_places.by_label
         with compiled.announced("occupancy predictor", self.get_logger().info):
             self.predictor = (
-                self._reaching(scene, told) if settings.predictor == "reaching" else self._trained(scene, online)
+                self._reaching(scene, told, own)
+                if isinstance(own, ReachingSettings)
+                else self._trained(scene, own, given[settings.classifier])
             )
+        declare_plugin(self, settings.predictor, own)
         self.origin_ns = 0
         self.looked_ns: int | None = None
         self.last_ns: int | None = None
@@ -144,10 +128,10 @@ class OccupancyPredictorNode(GraphNode):
             qos.sensor_subscription(settings.lossless, newest_only=settings.predictor == "reaching"),
         )
 
-    def _trained(self, scene: Scene, online: dict[str, Any]) -> Predictor:
-        """Return one of the predictors that know classes, or nothing."""
+    def _trained(self, scene: Scene, own: Settings, classifier: dict[str, Any]) -> Predictor:
+        """Return one of the predictors that know classes, or nothing, with its settings and the classifier's."""
         settings = self.settings
-        model = self._model() if predictor_type(settings.predictor).needs_model else None
+        model = self._model(classifier) if predictor_type(settings.predictor).needs_model else None
         self.goals_m = None if model is None else np.array(list(model.places.values()))
         request = PredictorRequest(
             self.human,
@@ -155,26 +139,33 @@ class OccupancyPredictorNode(GraphNode):
             scene.T_world_human,
             model,
             settings.classifier,
-            online,
+            classifier,
             settings.detect_onsets,
+            own,
         )
+        if model is not None and settings.classifier in model.classifiers:
+            used = model.classifier(settings.classifier, **classifier)
+            declare_plugin(self, settings.classifier, used.settings)
         # Not the one that is used: what it takes a standing person to look like outlives a motion.
         spare = make_predictor(settings.predictor, request)
         warm_up(spare, self.human, None if model is None else model.library.motions[0])
         return make_predictor(settings.predictor, request)
 
-    def _model(self) -> TrainedModel:
+    def _model(self, classifier: dict[str, Any]) -> TrainedModel:
         if self.settings.model:
             return load_model(self.settings.model, self.human)
         self.get_logger().info(f"no model given: training on {self.settings.library}")
         needed = needed_classifiers(self.settings.predictor, self.settings.classifier)
-        return train_model(load_library(locate(self.settings.library, "bags")), self.human, dict.fromkeys(needed))
+        given = {self.settings.classifier: classifier}
+        chosen = {name: classifier_settings(name, 0, given) for name in needed}
+        return train_model(load_library(locate(self.settings.library, "bags")), self.human, chosen)
 
-    def _reaching(self, scene: Scene, told: Mapping[int, FloatArray] | None) -> ReachingPredictor:
+    def _reaching(
+        self, scene: Scene, told: Mapping[int, FloatArray] | None, own: ReachingSettings
+    ) -> ReachingPredictor:
         """Return the predictor that knows places; a library without classes is enough for it, given places."""
         settings = self.settings
-        weights = ReachingSettings(weights=settings.reach_weights)
-        reach_weights(weights.weights)  # named wrongly, they should not cost the learning first
+        reach_weights(own.weights)  # named wrongly, they should not cost the learning first
         if settings.model:
             knowledge = ReachKnowledge.of_model(load_model(settings.model, self.human), self.human)
         else:
@@ -190,7 +181,7 @@ class OccupancyPredictorNode(GraphNode):
             told or self.scene_places,
             onsets=settings.detect_onsets,
             obstacles=scene.obstacles,
-            settings=weights,
+            settings=own,
         )
         for note in predictor.notes:
             self.get_logger().warning(note)

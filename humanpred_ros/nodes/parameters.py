@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Any, TypeVar
 
@@ -13,6 +14,7 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 
 from humanpred_ros.errors import SettingsError, UsageError
+from humanpred_ros.plugins import CLASSIFIERS, COST_TERMS, PREDICTORS, names, put_given
 from humanpred_ros.resources import share_file
 from humanpred_ros.settings import Settings, facts_of, spelled
 
@@ -44,7 +46,7 @@ def declare(node: Node, settings_type: type[T]) -> T:
     for name, field in settings_type.model_fields.items():
         default = list(field.default) if isinstance(field.default, tuple) else field.default
         try:
-            value = node.declare_parameter(name, default, _descriptor(field)).value
+            value = node.declare_parameter(name, default, _descriptor(field, default)).value
         except InvalidParameterTypeException as trouble:
             raise UsageError(
                 f"parameter {name} ({field.description}): wanted {_KINDS[type(default)]}, "
@@ -63,13 +65,34 @@ def declare(node: Node, settings_type: type[T]) -> T:
         raise UsageError(spelled(error, settings_type, lambda name: f"parameter {name}")) from error
 
 
-def _descriptor(field: FieldInfo) -> ParameterDescriptor:
+def plugin_parameters(node: Node, names: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return the values given to parameters NAME.SETTING, by the names of plug-ins and their settings."""
+    given: dict[str, dict[str, Any]] = {name: {} for name in names}
+    for path, parameter in node._parameter_overrides.items():
+        name, *keys = path.split(".")
+        if name in given and keys:
+            put_given(given[name], keys, parameter.value)
+    return given
+
+
+def declare_plugin(node: Node, name: str, settings: Settings) -> None:
+    """Declare the settings that a plug-in really has as read-only parameters NAME.SETTING.
+
+    Those that ROS has no type for are left out: none, and settings within settings.
+    """
+    for key, field in type(settings).model_fields.items():
+        value = getattr(settings, key)
+        if isinstance(value, str | bool | int | float) and not node.has_parameter(f"{name}.{key}"):
+            node.declare_parameter(f"{name}.{key}", value, _descriptor(field, value), ignore_override=True)
+
+
+def _descriptor(field: FieldInfo, value: Any) -> ParameterDescriptor:
     facts = facts_of(field)
     low, high = facts["low"], facts["high"]
     descriptor = ParameterDescriptor(description=field.description, read_only=not facts["changeable"])
     if low is None and high is None:
         return descriptor
-    if isinstance(field.default, int):
+    if isinstance(value, int):
         limits = (-_LARGEST_INT if low is None else int(low), _LARGEST_INT if high is None else int(high))
         descriptor.integer_range = [IntegerRange(from_value=limits[0], to_value=limits[1])]
     else:
@@ -96,8 +119,11 @@ def _refuse_unknown(node: Node, settings_type: type[Settings], given: list[str])
     gives every node the same ones.
     """
     own = list(settings_type.model_fields)
+    plugins = {name for group in (CLASSIFIERS, PREDICTORS, COST_TERMS) for name in names(group)}
     for name in given:
         if name in own or node.has_parameter(name) or name.startswith(_RCLPY_PREFIXES) or name in _names_of_all_nodes():
+            continue
+        if name.partition(".")[0] in plugins:  # of a node that uses the plug-in, which checks it
             continue
         close = get_close_matches(name, own, n=1)
         advice = f"did you mean {close[0]}?" if close else f"it has {', '.join(own)}"

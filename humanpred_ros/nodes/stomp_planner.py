@@ -19,10 +19,11 @@ from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.markers import candidate_markers, rollout_markers
-from humanpred_ros.nodes.parameters import declare
+from humanpred_ros.nodes.parameters import declare, plugin_parameters
 from humanpred_ros.planning.decision import HOLD, Decision
 from humanpred_ros.planning.replanner import Replanner
 from humanpred_ros.planning.replanner_config import ReplannerConfig
+from humanpred_ros.plugins import Given
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.settings import Settings, setting, setting_of
 from humanpred_ros.stomp.config import StompConfig
@@ -45,6 +46,7 @@ class StompPlannerSettings(Settings):
         StompConfig, "rollouts", description="noisy rollouts per iteration, half of them reused", low=2
     )
     noise_std: float = setting_of(StompConfig, "noise_std")
+    cost_terms: tuple[str, ...] = setting_of(ReplannerConfig, "cost_terms")
     noise_decay: float = setting_of(StompConfig, "noise_decay")
     velocity_scale: float = setting_of(ReplannerConfig, "velocity_scale")
     acceleration_limit: float = setting_of(ReplannerConfig, "acceleration_limit")
@@ -64,9 +66,10 @@ class StompPlannerSettings(Settings):
     )
     lossless: bool = setting(False, "subscribe reliably and keep every occupancy (stepped runs)")
 
-    def replanner_config(self) -> ReplannerConfig:
-        """Return the replanner's settings these parameters stand for."""
-        return self.part(ReplannerConfig, stomp=self.part(StompConfig, reused=self.rollouts // 2))
+    def replanner_config(self, cost_terms: Given | None = None) -> ReplannerConfig:
+        """Return the replanner's settings these parameters, and those of cost terms, stand for."""
+        stomp = self.part(StompConfig, reused=self.rollouts // 2)
+        return self.part(ReplannerConfig, stomp=stomp, cost_term_settings=dict(cost_terms or {}))
 
 
 class StompPlannerNode(GraphNode):
@@ -81,7 +84,8 @@ class StompPlannerNode(GraphNode):
         self.settings = settings = declare(self, StompPlannerSettings)
         self.scene = load_scene(settings.scene)
         with compiled.announced("STOMP planner", self.get_logger().info):
-            self.replanner = Replanner.for_scene(self.scene, settings.replanner_config())
+            config = settings.replanner_config(plugin_parameters(self, settings.cost_terms))
+            self.replanner = Replanner.for_scene(self.scene, config)
             self.replanner.warm_up()
         self.arm_q: FloatArray | None = None
         self.begun = self.holding = False

@@ -24,6 +24,7 @@ from humanpred_ros.planning.time_parameterisation import time_parameterise
 from humanpred_ros.planning.trajectory import TimedTrajectory
 from humanpred_ros.robot.arm import Arm
 from humanpred_ros.robot.goals import Goal
+from humanpred_ros.settings import Settings
 from humanpred_ros.stomp.arm_loop import COMPILED_TERMS
 from humanpred_ros.stomp.costs import CostTerm, CostTermRequest, HumanOccupancyCost, ObstacleCost
 from humanpred_ros.stomp.planner import StompPlanner
@@ -66,6 +67,7 @@ class Problem:
             PlanningError: for no goals, two of one name, or configurations of another arm.
             GoalUnreachableError: for a goal all of whose configurations are outside the joint limits or not free.
             UsageError: for a cost term whose name is unknown.
+            SettingsError: for a setting that a cost term does not have.
         """
         names = [goal.name for goal in goals]
         if not names or len(set(names)) != len(names):
@@ -79,7 +81,9 @@ class Problem:
         self.velocity_limit = config.velocity_scale * arm.chain.velocity_limit
         self.acceleration_limit = np.array(np.broadcast_to(config.acceleration_limit, (n,)), dtype=np.float64)
         self.pool = ThreadPoolExecutor(config.threads) if config.threads > 1 else None
-        self._request = CostTermRequest(arm.chain, arm.body_points(), spheres, field, config.padding_m, config.stomp)
+        self._request = CostTermRequest(
+            arm.chain, arm.body_points(), spheres, field, config.padding_m, config.stomp, Settings()
+        )
         self.obstacles = ObstacleCost.build(self._request)
         self._terms = self._chosen_terms()
 
@@ -89,7 +93,7 @@ class Problem:
         request = replace(self._request, occupancy=near)
         human = HumanOccupancyCost.build(request)
         terms = [
-            human if term is HumanOccupancyCost else term.build(request) if isinstance(term, type) else term
+            human if term is HumanOccupancyCost else self._built(term, request) if isinstance(term, type) else term
             for term in self._terms
         ]
         return StompPlanner(terms, self.chain.lower, self.chain.upper, self.config.stomp), human
@@ -173,7 +177,15 @@ class Problem:
                 "others run compiled",
                 ", ".join(names),
             )
+        self._own = {
+            term: plugins.settings_of(name, term.settings_type, self.config.cost_term_settings)
+            for name, term in zip(names, classes, strict=True)
+        }
         return [
-            term if term.per_occupancy else self.obstacles if term is ObstacleCost else term.build(self._request)
+            term if term.per_occupancy else self.obstacles if term is ObstacleCost else self._built(term, self._request)
             for term in classes
         ]
+
+    def _built(self, term: type[CostTerm], request: CostTermRequest) -> CostTerm:
+        """Return a term of a class, made with the settings that were given for it."""
+        return term.build(replace(request, settings=self._own[term]))

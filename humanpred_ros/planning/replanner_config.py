@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 from humanpred_ros.errors import SettingsError
 from humanpred_ros.settings import Settings, setting
@@ -31,6 +31,7 @@ class ReplannerConfig(Settings):
     cost_terms: tuple[str, ...] = setting(
         ("obstacle", "human", "smoothness"), "what trajectories are charged for: names of cost terms, of plug-ins too"
     )
+    cost_term_settings: dict[str, dict[str, Any]] = setting({}, "settings of cost terms of plug-ins, by term and name")
     length_weight: float = setting(0.002, "cost of a unit of configuration distance, in the comparison", low=0.0)
     rest_weight: float = setting(
         0.2, "configuration distance for which an arm at its goal counts as if it went on there", low=0.0

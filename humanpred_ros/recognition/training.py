@@ -61,14 +61,17 @@ class TrainedModel:
                 f"trained model: wanted one with the classifier {name}, got one with "
                 f"{', '.join(self.classifiers) or 'none'}; train it: `humanpred train --classifier {name}`"
             )
-        fixed = sorted(set(online) - set(trained.online_settings))
+        before = {key: getattr(trained.settings, key) for key in type(trained.settings).model_fields}
+        settings = plugins.settings_of(name, type(trained.settings), {name: {**before, **online}})
+        free_to_change = set(trained.online_settings)
+        fixed = sorted(key for key in set(online) - free_to_change if getattr(settings, key) != before[key])
         if fixed:
             free = ", ".join(trained.online_settings) or "none"
             raise UsageError(
                 f"classifier {name}: a trained one cannot change {', '.join(fixed)}; settings that it can change: "
                 f"{free}; train a new model for anything else"
             )
-        return trained.fresh(trained.settings.replaced(**online) if online else None)
+        return trained.fresh(settings)
 
     @cached_property
     def places(self) -> Mapping[int, FloatArray]:
@@ -102,10 +105,14 @@ def train_model(
     return TrainedModel(MotionLibrary(library.name, kept, library.provenance), human, fitted)
 
 
-def seeded_settings(name: str, seed: int) -> Settings:
-    """Return a classifier's default settings with a seed, if it draws at random. Raises UsageError: unknown name."""
-    found = classifier_type(name).settings_type
-    return found(seed=seed) if "seed" in found.model_fields else found()
+def classifier_settings(name: str, seed: int, given: plugins.Given | None = None) -> Settings:
+    """Return settings of a classifier: those that were given (`plugins.given_settings`), else a seed and the defaults.
+
+    Raises:
+        UsageError: unknown name.
+        SettingsError: a setting that it does not have, or a value that cannot be used.
+    """
+    return plugins.settings_of(name, classifier_type(name).settings_type, given or {}, seed=seed)
 
 
 def farthest_palm_m(human: HumanModel, q: FloatArray) -> FloatArray:

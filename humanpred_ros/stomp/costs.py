@@ -24,6 +24,7 @@ from humanpred_ros.geometry.checks import checked
 from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.geometry.joints import flatten
 from humanpred_ros.geometry.lattice import Occupancy
+from humanpred_ros.settings import Settings
 from humanpred_ros.stomp import cost_kernels
 from humanpred_ros.stomp.config import StompConfig
 from humanpred_ros.stomp.smoothness import acceleration_costs
@@ -46,7 +47,8 @@ class CostTermRequest:
         spheres: spheres that cover the arm.
         field: signed distance to obstacles, world frame.
         padding_m: clearance that every configuration must keep from obstacles.
-        settings: of STOMP, with the weights of the built-in terms.
+        stomp: settings of STOMP, with the weights of the built-in terms.
+        settings: of the term, of its `settings_type`.
         occupancy: predicted human occupancy, widened by the margin. None for a term that is not `per_occupancy`.
     """
 
@@ -55,7 +57,8 @@ class CostTermRequest:
     spheres: BodySpheres
     field: SignedDistanceField
     padding_m: float
-    settings: StompConfig
+    stomp: StompConfig
+    settings: Settings
     occupancy: Occupancy | None = None
 
 
@@ -66,8 +69,10 @@ class CostTerm(ABC):
         name: how plans report the term's share; no two terms of a planner have the same.
         weight: factor of the term in the total.
         per_occupancy: whether the replanner makes the term anew for every predicted occupancy, or once.
+        settings_type: class of the term's own settings; those of the built-in terms are in `StompConfig`.
     """
 
+    settings_type: ClassVar[type[Settings]] = Settings
     per_occupancy: ClassVar[bool] = False
 
     def __init__(self, name: str, weight: float, n_joints: int | None = None) -> None:
@@ -126,7 +131,7 @@ class SmoothnessCost(CostTerm):
 
     @classmethod
     def build(cls, request: CostTermRequest) -> SmoothnessCost:
-        return cls(request.settings.smoothness_weight)
+        return cls(request.stomp.smoothness_weight)
 
     def evaluate(self, q: Float32Array) -> tuple[Float32Array, BoolArray | None]:
         """Return the costs (R, N, D), (rad per squared step)^2; see `CostTerm.evaluate`."""
@@ -163,7 +168,7 @@ class HumanOccupancyCost(CostTerm):
     def build(cls, request: CostTermRequest) -> HumanOccupancyCost:
         if request.occupancy is None:
             raise PlanningError("human cost: wanted an occupancy, got none")
-        return cls(request.chain, request.points, request.occupancy, request.settings.human_weight)
+        return cls(request.chain, request.points, request.occupancy, request.stomp.human_weight)
 
     def for_kernel(self) -> tuple[Any, ...]:
         """Return what the compiled loop of `arm_loop` wants of this term."""
@@ -219,7 +224,7 @@ class ObstacleCost(CostTerm):
 
     @classmethod
     def build(cls, request: CostTermRequest) -> ObstacleCost:
-        weight, padding_m = request.settings.obstacle_weight, request.padding_m
+        weight, padding_m = request.stomp.obstacle_weight, request.padding_m
         return cls(request.chain, request.spheres, request.field, weight, margin_m=padding_m)
 
     def for_kernel(self, n_waypoints: int) -> tuple[Any, ...]:

@@ -81,7 +81,7 @@ def test_places_are_changed_refused_and_warned_about(tmp_path: Path) -> None:
             assert not done
             assert "wanted 'label x y z'" in reason
             assert entry in reason
-        assert not client.set_parameter("reach_weights", "baseline_0")[0], "all else is read-only"
+        assert not client.set_parameter("reaching.weights", "baseline_0")[0], "all else is read-only"
         client.set_places(Places.of({**own.by_label, 9: [6.0, 0.0, 1.0]}))
         client.go_on(5)
         client.wait(lambda: "warning/place 9" in client.diagnostics[1], "the warning")
@@ -148,7 +148,11 @@ def test_the_demo_runs_with_it_and_with_the_23_dof_human(tmp_path: Path) -> None
         ({"human": "mocap23"}, "wanted its 23 DoFs in its order, got 12 names"),
         ({"places": ["3 0 0"]}, "wanted 'label x y z'"),
         ({"places": ["3 0 0 1"], "predictor": "forecast"}, "wanted the predictor reaching, got forecast"),
-        ({"reach_weights": "heavy"}, "wanted one of baseline_0"),
+        ({"reaching.weights": "heavy"}, "wanted one of baseline_0"),
+        (
+            {"reaching.weight": "baseline_0"},
+            "reaching.weight: reaching has no setting of that name; did you mean weights?",
+        ),
     ],
 )
 def test_what_cannot_be_used_is_said_in_one_line(tmp_path: Path, parameters: dict[str, object], words: str) -> None:

@@ -10,7 +10,7 @@ import pytest
 from small_library import REST, small_library
 
 from humanpred_ros import plugins
-from humanpred_ros.errors import UsageError
+from humanpred_ros.errors import SettingsError, UsageError
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy.predictor import PredictorRequest, make_predictor, predictor_type
@@ -81,7 +81,7 @@ def test_what_is_wrong_is_named() -> None:
                 HUMAN, GRID, np.eye(4), model=trained(), classifier="gmm", classifier_settings={"seed": 4}
             ),
         )
-    with pytest.raises(UsageError, match="forest: a trained one cannot change evidence"):
+    with pytest.raises(SettingsError, match=r"forest\.evidence: forest has no setting"):
         make_predictor(
             "swept_volume",
             request(model=trained(), classifier_settings={"evidence": "mean"}),

@@ -14,7 +14,7 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.recognition.forest import ForestSettings
 from humanpred_ros.recognition.forest_classifier import ForestClassifier
 from humanpred_ros.recognition.gmm_classifier import GmmClassifier, GmmSettings
-from humanpred_ros.recognition.training import TrainedModel, seeded_settings, train_model
+from humanpred_ros.recognition.training import TrainedModel, classifier_settings, train_model
 
 GMM = {"gmm": GmmSettings(n_components=8, max_iterations=30)}
 HUMAN = HumanModel.kinect12()
@@ -85,8 +85,8 @@ def test_only_online_settings_change_after_training() -> None:
 
 
 def test_a_seed_goes_to_those_that_draw() -> None:
-    assert seeded_settings("forest", 7) == ForestSettings(seed=7)
-    assert seeded_settings("gmm", 7) == GmmSettings(seed=7)
+    assert classifier_settings("forest", 7) == ForestSettings(seed=7)
+    assert classifier_settings("gmm", 7) == GmmSettings(seed=7)
 
 
 def test_what_does_not_suffice_is_refused() -> None:
