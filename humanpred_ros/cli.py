@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import inspect
 import os
 import signal
 import sys
@@ -46,18 +47,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "evaluation.reaching:run",
         "predicted reaches against recorded (P2 Tables I to III, Figs. 7, 10)",
     ),
-    "bench predictor": (
-        "evaluation.predictor_bench.command:run",
-        "microseconds per posture, what they grow with, and occupancies a second over DDS on one core",
-    ),
-    "bench planner": (
-        "evaluation.planner_bench.command:run",
-        "milliseconds per goal beside the C++ floor and NumPy",
-    ),
-    "bench graph": (
-        "evaluation.graph_bench.command:run",
-        "posture to trajectory over DDS at 30 Hz, per number of goals",
-    ),
+    "bench predictor": ("evaluation.predictor_bench:run", "time per posture, and occupancies a second over DDS"),
+    "bench planner": ("evaluation.planner_bench:run", "time per goal beside the C++ floor"),
+    "bench graph": ("evaluation.graph_bench:run", "posture to trajectory over DDS at 30 Hz, per number of goals"),
     "bag check": ("commands:bag_check", "read a bag completely, with checksums"),
     "bag salvage": ("commands:bag_salvage", "copy what is intact in a damaged bag to a new one"),
 }
@@ -95,8 +87,7 @@ def parse(words: Sequence[str]) -> tuple[Command, Any]:
     for length in (1, 2):
         name = " ".join(words[:length])
         if name in COMMANDS:
-            where, text = COMMANDS[name]
-            return _parse_flags(name, where, text, list(words[length:]))
+            return _parse_flags(name, COMMANDS[name][0], list(words[length:]))
     group = words[0] if words and any(name.startswith(f"{words[0]} ") for name in COMMANDS) else ""
     if group and words[1:2] in (["-h"], ["--help"]):
         print(_overview(group))
@@ -118,20 +109,26 @@ def _overview(group: str) -> str:
     return "\n".join([usage, *([] if group else ["", str(__doc__)]), "", *lines, "", "COMMAND --help lists its flags."])
 
 
-def _parse_flags(name: str, where: str, text: str, words: list[str]) -> tuple[Command, Any]:
+def _parse_flags(name: str, where: str, words: list[str]) -> tuple[Command, Any]:
     module_name, function = where.split(":")
     module = importlib.import_module(f"humanpred_ros.{module_name}")
     run: Command = getattr(module, function)
-    parser = _Parser(prog=f"humanpred {name}", description=text)
-    if hasattr(module, "add_arguments"):  # an evaluation that is not yet described by settings
-        module.add_arguments(parser)
-        return run, parser.parse_args(words)
+    # A module with one command says what it does; else each function does.
+    text = inspect.getdoc(module if function == "run" else run) or ""
+    parser = _Parser(prog=f"humanpred {name}", description=text.partition("\n\nRaises:")[0], formatter_class=_Help)
     settings_type: type[Settings] = next(iter(get_type_hints(run).values()))
     add_flags(parser, settings_type)
     try:
         return run, settings_type(**vars(parser.parse_args(words)))
     except SettingsError as error:
         raise SettingsError(spelled(error, settings_type, lambda name: flag(settings_type, name))) from None
+
+
+class _Help(argparse.HelpFormatter):
+    """Keeps the paragraphs of a docstring apart."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return "\n\n".join(super(_Help, self)._fill_text(part, width, indent) for part in text.split("\n\n"))
 
 
 class _Parser(argparse.ArgumentParser):

@@ -1,4 +1,4 @@
-"""Runs the nodes as processes and always ends them, however the parent ends."""
+"""Runs the nodes as processes, tells what they use, and always ends them, however the parent ends."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
+from typing import NamedTuple
 
 from humanpred_ros.errors import UsageError
 
@@ -27,6 +28,13 @@ _TAIL_LINES = 8
 ParameterValue = str | int | float | bool | Sequence[str]
 
 
+class Usage(NamedTuple):
+    """Processor time used so far, s, and the most memory held, MB (resident)."""
+
+    cpu_s: float
+    memory_mb: float
+
+
 @dataclass
 class NodeProcess:
     """One node in a process of its own, with its output in a log file."""
@@ -38,6 +46,19 @@ class NodeProcess:
     @property
     def running(self) -> bool:
         return self.process.poll() is None
+
+    def usage(self) -> Usage | None:
+        """Return what the process has used (from /proc); None if it has ended or the system does not tell."""
+        folder = Path(f"/proc/{self.process.pid}")
+        try:
+            # The name in brackets may hold blanks; times are the 12th and 13th column after it.
+            columns = (folder / "stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()
+            status = (folder / "status").read_text(encoding="ascii", errors="replace").splitlines()
+            cpu_s = (int(columns[11]) + int(columns[12])) / os.sysconf("SC_CLK_TCK")
+            peak_kb = next(int(line.split()[1]) for line in status if line.startswith(("VmHWM:", "VmRSS:")))
+        except (OSError, ValueError, IndexError, StopIteration):
+            return None
+        return Usage(cpu_s, peak_kb / 1024.0)
 
     def tail(self) -> str:
         """Return the end of the log, for error messages."""

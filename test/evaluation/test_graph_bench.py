@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import subprocess
@@ -21,21 +20,19 @@ from waiting import processes_with_environment, wait_until
 from humanpred_ros.bags import messages as ros
 from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.bags.writer import BagWriter
-from humanpred_ros.errors import BagError, GoalUnreachableError, UsageError
-from humanpred_ros.evaluation.graph_bench import command as graph_bench_command
-from humanpred_ros.evaluation.graph_bench import input as graph_bench_input
-from humanpred_ros.evaluation.graph_bench.bench import GraphCase, summarised
-from humanpred_ros.evaluation.graph_bench.input import back_and_forth, write_scene, write_scene_for
-from humanpred_ros.evaluation.graph_bench.latency import (
-    Answers,
-    Delays,
-    answers_of,
-    posture_answers,
-    skipped_steps,
+from humanpred_ros.cli import parse
+from humanpred_ros.errors import BagError, GoalUnreachableError, HumanPredError, UsageError
+from humanpred_ros.evaluation import bench_nodes
+from humanpred_ros.evaluation.bench_nodes import (
+    NodeUsage,
+    back_and_forth,
+    wait_until_resting,
+    write_scene,
+    write_scene_for,
 )
-from humanpred_ros.evaluation.graph_bench.run import GraphRun
-from humanpred_ros.evaluation.graph_bench.usage import NodeUsage, UsageMeter, usage_of, wait_until_resting
-from humanpred_ros.evaluation.processes import NodeProcess
+from humanpred_ros.evaluation.graph_bench import GraphBenchSettings, together
+from humanpred_ros.evaluation.graph_bench_answers import Answers, answers_of, posture_answers, skipped_steps
+from humanpred_ros.evaluation.processes import NodeGroup, NodeProcess
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.placement import placed, turn_and_shift
@@ -49,10 +46,11 @@ STARTED_NS = 1_700_000_000 * 1000 * MS
 FIRST_NS = STARTED_NS + 2500 * MS
 
 
-def parsed(*words: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    graph_bench_command.add_arguments(parser)
-    return parser.parse_args(words)
+def run(*words: str) -> str:
+    printed = io.StringIO()
+    command, settings = parse(["bench", "graph", *words])
+    assert command(settings, Console(file=printed, width=120)) == 0
+    return printed.getvalue()
 
 
 @pytest.fixture(scope="module")
@@ -104,25 +102,25 @@ def write_run(folder: Path, *, postures: int = 12, missed_at: int = -1, busy_fro
 
 def test_delays_are_read_from_publication_to_receipt(tmp_path: Path) -> None:
     answers = answers_of(write_run(tmp_path), PERIOD_MS * 1e-3, STARTED_NS)
-    assert answers.occupancy_s == pytest.approx([0.006] * 11)
-    assert answers.step_s == pytest.approx([0.031] * 4)
-    assert answers.trajectory_s == pytest.approx([0.029] * 2)
-    assert answers.compute_s == pytest.approx([0.0125] * 4)
-    assert answers.iterations == (20,) * 4  # goals that were set aside do not count
-    assert (answers.late, answers.skipped, answers.unanswered) == (0, 0, 1)
+    assert answers.delays_ms["occupancy_ms"] == pytest.approx([6.0] * 11)
+    assert answers.delays_ms["step_ms"] == pytest.approx([31.0] * 4)
+    assert answers.delays_ms["trajectory_ms"] == pytest.approx([29.0] * 2)
+    assert answers.delays_ms["compute_ms"] == pytest.approx([12.5] * 4)
+    assert answers.iterations == [20] * 4  # goals that were set aside do not count
+    assert answers.counts == {"steps": 4, "late": 0, "skipped": 0, "unanswered": 1}
     assert answers.ready_s == pytest.approx(2.0)
 
 
 def test_every_posture_has_its_occupancy_or_none(tmp_path: Path) -> None:
     *answered, last = posture_answers(BagReader(write_run(tmp_path)))
-    assert [answer.delay_s for answer in answered] == pytest.approx([0.006] * 11)
+    assert [answer.delay_ms for answer in answered] == pytest.approx([6.0] * 11)
     assert np.diff([answer.sent_ns for answer in answered]).tolist() == [POSTURE_MS * MS] * 10
     assert last.heard_ns is None
-    assert np.isnan(last.delay_s)
+    assert np.isnan(last.delay_ms)
 
 
 def test_plans_that_came_too_late_are_counted(tmp_path: Path) -> None:
-    assert answers_of(write_run(tmp_path, missed_at=6), PERIOD_MS * 1e-3, STARTED_NS).late == 1
+    assert answers_of(write_run(tmp_path, missed_at=6), PERIOD_MS * 1e-3, STARTED_NS).counts["late"] == 1
 
 
 def test_due_times_without_a_step_are_counted() -> None:
@@ -137,26 +135,25 @@ def test_a_run_without_postures_is_refused(tmp_path: Path) -> None:
         answers_of(write_run(tmp_path, postures=0), 0.1, STARTED_NS)
 
 
-def test_figures_of_no_answers_are_not_numbers() -> None:
-    delays = Delays.of([])
-    assert delays.n == 0
-    assert np.isnan(delays.median_ms)
-    assert Delays.of([0.1, 0.2, 0.3]).median_ms == pytest.approx(200.0)
-
-
 def test_runs_are_put_together() -> None:
-    def answers(seconds: tuple[float, ...], late: int) -> Answers:
-        return Answers(seconds, seconds, seconds[:1], seconds, (50,) * len(seconds), late, 1, 0, 1.5)
+    def answers(*ms: float, late: int) -> Answers:
+        delays = {"occupancy_ms": ms, "step_ms": ms, "trajectory_ms": ms[:1], "compute_ms": ()}
+        counts = {"steps": len(ms), "late": late, "skipped": 1, "unanswered": 0}
+        return Answers(delays, (50,) * len(ms), counts, 1.5)
 
-    runs = [
-        GraphRun(Path("a"), 0, 1.2, (NodeUsage("stomp_planner", 40.0, 200.0),)),
-        GraphRun(Path("b"), 0, None, (NodeUsage("stomp_planner", 60.0, 220.0),)),
-    ]
-    result = summarised(2, runs, [answers((0.01, 0.02), 1), answers((0.03,), 0)])
-    assert (result.step.n, result.step.median_ms) == (3, pytest.approx(20.0))
-    assert (result.trajectory.n, result.steps, result.late, result.skipped, result.missed) == (2, 3, 1, 2, 3)
-    assert result.usage == (NodeUsage("stomp_planner", 50.0, 220.0),)
-    assert (result.ready_s, result.ready_cpu_s) == (1.5, 1.2)
+    result = together(
+        2,
+        [
+            (answers(10.0, 20.0, late=1), 1.2, (NodeUsage("stomp_planner", 40.0, 200.0),)),
+            (answers(30.0, late=0), float("nan"), (NodeUsage("stomp_planner", 60.0, 220.0),)),
+        ],
+    )
+    assert (result["step_ms"].n, result["step_ms"].median) == (3, pytest.approx(20.0))
+    assert (result["trajectory_ms"].n, result["steps"], result["late"], result["skipped"]) == (2, 3, 1, 2)
+    assert (result["unanswered"], result["compute_ms"].n) == (0, 0)
+    assert np.isnan(result["compute_ms"].median)
+    assert result["usage"] == [{"node": "stomp_planner", "cpu_percent": 50.0, "memory_mb": 220.0}]
+    assert (result["ready_s"], result["ready_cpu_s"]) == (1.5, 1.2)
 
 
 @pytest.mark.parametrize("n_goals", [1, 2, 8])
@@ -187,7 +184,7 @@ def test_a_goal_in_collision_is_refused(tmp_path: Path, monkeypatch: pytest.Monk
             text = (locate("four_places", "config", "scenes", suffix=".yaml")).read_text(encoding=encoding)
             return text.replace("-0.720, 0.72]", "-0.720, 0.90]")  # the table raised into the goals
 
-    monkeypatch.setattr(graph_bench_input, "share_file", lambda *parts: Shared())
+    monkeypatch.setattr(bench_nodes, "share_file", lambda *parts: Shared())
     with pytest.raises(GoalUnreachableError, match="goal"):
         write_scene(tmp_path / "scene.yaml", 2)
 
@@ -216,33 +213,26 @@ def busy_node(tmp_path: Path) -> Iterator[NodeProcess]:
 
 
 @LINUX
-def test_a_node_that_works_is_waited_for_and_its_work_is_measured(busy_node: NodeProcess) -> None:
-    meter = UsageMeter([busy_node])
-    meter.note()
-    wait_until_resting([busy_node], lambda: None, 30.0)
-    meter.note()
-    used = usage_of(busy_node.process.pid)
-    assert used is not None
-    assert used.cpu_s > 0.0
-    assert used.memory_mb > 3.0
-    (found,) = meter.result()
-    assert found.node == "busy"
-    assert 0.0 < found.cpu_percent <= 110.0
+def test_a_node_that_works_is_waited_for_and_its_work_is_measured(busy_node: NodeProcess, tmp_path: Path) -> None:
+    before = busy_node.usage()
+    wait_until_resting(NodeGroup(tmp_path, 1, [busy_node]))
+    after = busy_node.usage()
+    assert before is not None
+    assert after is not None
+    assert after.cpu_s > before.cpu_s
+    assert after.memory_mb > 3.0
+    busy_node.process.kill()
+    busy_node.process.wait()
+    assert busy_node.usage() is None
 
 
 @LINUX
-def test_a_failed_node_ends_the_wait(busy_node: NodeProcess) -> None:
-    def check() -> None:
-        raise UsageError("it failed")
-
+def test_a_failed_node_ends_the_wait(tmp_path: Path) -> None:
+    failed = subprocess.Popen([sys.executable, "-c", "raise SystemExit(2)"])
+    failed.wait()
+    (tmp_path / "log").write_text("it failed", encoding="utf-8")
     with pytest.raises(UsageError, match="it failed"):
-        wait_until_resting([busy_node], check, 30.0)
-
-
-def test_a_process_that_has_ended_uses_nothing() -> None:
-    process = subprocess.Popen([sys.executable, "-c", ""])
-    process.wait()
-    assert usage_of(process.pid) is None
+        wait_until_resting(NodeGroup(tmp_path, 1, [NodeProcess("bad", failed, tmp_path / "log")]))
 
 
 @pytest.mark.parametrize(
@@ -256,8 +246,8 @@ def test_a_process_that_has_ended_uses_nothing() -> None:
     ],
 )
 def test_impossible_options_are_refused_before_anything_starts(words: list[str], message: str) -> None:
-    with pytest.raises(UsageError, match=message):
-        graph_bench_command.run(parsed(*words), Console(file=io.StringIO()))
+    with pytest.raises(HumanPredError, match=message):
+        run(*words)
 
 
 @LINUX
@@ -265,28 +255,29 @@ def test_the_real_nodes_are_measured_and_ended(tmp_path: Path) -> None:
     pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
     out, kept = tmp_path / "bench.json", tmp_path / "kept"
     words = ["--goals", "2", "--runs", "1", "--seconds", "2", "--waypoints", "30", "--iterations", "5"]
-    options = parsed(*words, "--predictor", "current", "--json", str(out), "--keep", str(kept))
-    printed = io.StringIO()
-    assert graph_bench_command.run(options, Console(file=printed, width=120)) == 0
+    plot = tmp_path / "bench.png"
+    printed = run(*words, "--predictor", "current", "--json", str(out), "--plot", str(plot), "--keep", str(kept))
     bench = json.loads(out.read_text())
-    assert bench["case"]["waypoints"] == 30
+    assert bench["settings"]["waypoints"] == 30
+    assert plot.read_bytes()[:4] == b"\x89PNG"
     (result,) = bench["results"]
     assert result["goals"] == 2
-    assert result["occupancy"]["n"] + result["unanswered"] == 61
-    assert result["steps"] == result["step"]["n"] >= 1
-    assert result["trajectory"]["n"] <= result["steps"]
-    assert result["occupancy"]["median_ms"] > 0.0
-    assert result["step"]["median_ms"] > 0.0
+    assert result["occupancy_ms"]["n"] + result["unanswered"] == 61
+    assert result["steps"] == result["step_ms"]["n"] >= 1
+    assert result["trajectory_ms"]["n"] <= result["steps"]
+    assert result["occupancy_ms"]["median"] > 0.0
+    assert result["step_ms"]["median"] > 0.0
     assert {node["node"] for node in result["usage"]} == {
         "run_recorder", "simulated_arm", "occupancy_predictor", "stomp_planner", "skeleton_tracker_replay",
     }  # fmt: skip
     assert all(node["memory_mb"] > 10.0 for node in result["usage"])
     assert result["ready_s"] > 0.0
     assert result["ready_cpu_s"] > 0.0
-    assert "posture to trajectory" in printed.getvalue()
+    assert "posture to trajectory" in printed
     wait_until(lambda: not processes_with_environment(f"ROS_LOG_DIR={kept}"), "the nodes to end", 10.0)
 
 
 def test_the_issues_case() -> None:
-    case = GraphCase()
-    assert (case.goals, case.waypoints, case.rate_hz, case.iterations) == ((2, 4, 8), 100, 30.0, 50)
+    settings = GraphBenchSettings()
+    assert (settings.goals, settings.waypoints, settings.iterations) == ((2, 4, 8), 100, 50)
+    assert bench_nodes.RATE_HZ == 30.0

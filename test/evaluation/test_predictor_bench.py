@@ -16,11 +16,11 @@ from small_library import small_library
 
 from humanpred_ros import plugins
 from humanpred_ros.cli import parse
-from humanpred_ros.errors import HumanModelError, UsageError
-from humanpred_ros.evaluation.predictor_bench import command as predictor_bench_command
-from humanpred_ros.evaluation.predictor_bench import growth
-from humanpred_ros.evaluation.predictor_bench.people import People
-from humanpred_ros.evaluation.predictor_bench.timing import Timing, update_seconds
+from humanpred_ros.errors import HumanModelError, SettingsError, UsageError
+from humanpred_ros.evaluation import predictor_bench
+from humanpred_ros.evaluation.predictor_bench import update_us
+from humanpred_ros.evaluation.predictor_bench_node import People
+from humanpred_ros.evaluation.timing import MachineLoad, Spread
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.motion import MotionLibrary
 
@@ -32,9 +32,9 @@ def demos() -> MotionLibrary:
 
 
 def run(*words: str, printed: Path) -> int:
-    _, options = parse(["bench", "predictor", "--motions", "1", "--no-node", *words])
+    command, settings = parse(["bench", "predictor", "--motions", "1", "--no-node", *words])
     with printed.open("w") as file:
-        return predictor_bench_command.run(options, Console(file=file, width=120))
+        return command(settings, Console(file=file, width=120))
 
 
 class Noting:
@@ -50,21 +50,28 @@ class Noting:
         self.notes.append(f"{t_s:.1f}")
 
 
-def test_timings_are_microseconds() -> None:
-    timing = Timing.of([0.001, 0.002, 0.003])
-    assert (timing.median_us, timing.n) == (pytest.approx(2000.0), 3)
-    with pytest.raises(UsageError, match="at least one call"):
-        Timing.of([])
+def test_figures_of_measurements() -> None:
+    spread = Spread.of([3.0, 1.0, 2.0, 10.0])
+    assert (spread.median, spread.least, spread.most, spread.n) == (2.5, 1.0, 10.0, 4)
+    assert 9.0 < spread.p99 < 10.0
+    nothing = Spread.of([])
+    assert nothing.n == 0
+    assert np.isnan(nothing.median)
+
+
+def test_what_others_use_is_never_negative() -> None:
+    cores = MachineLoad().other_cores()
+    assert cores is None or cores >= 0.0
 
 
 @pytest.mark.parametrize(("n_frames", "stamps"), [(None, ["0.0", "0.5", "1.0", "1.5"]), (1, ["0.0"])])
 def test_every_motion_is_started_anew_after_a_warm_up(n_frames: int | None, stamps: list[str]) -> None:
     subject, motions = Noting(), small_library(1, 2, 4).motions
-    seconds = update_seconds(cast(Any, subject), motions, n_frames)
+    durations = update_us(cast(Any, subject), motions, n_frames)
     begin = subject.notes.index("start")
     assert begin > 0
     assert subject.notes[begin:] == ["start", *stamps] * 2
-    assert len(seconds) == 2 * len(stamps)
+    assert len(durations) == 2 * len(stamps)
 
 
 def test_nobody_learns_from_what_is_played() -> None:
@@ -87,16 +94,17 @@ def test_any_number_of_places_can_be_told(library: MotionLibrary) -> None:
 
 
 def test_everything_is_measured_and_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(growth, "_FRAMES_SEEN", (20, 40))
-    monkeypatch.setattr(growth, "_PLACES", (1, 3))
+    monkeypatch.setattr(predictor_bench, "_FRAMES_SEEN", (20, 40))
+    monkeypatch.setattr(predictor_bench, "_PLACES", (1, 3))
     library = write_library_bag(small_library(2, 4, 40), tmp_path / "library")
     recorded = write_library_bag(demos(), tmp_path / "demos")
-    out, printed = tmp_path / "bench.json", tmp_path / "printed"
-    assert run("--library", str(library), "--demos", str(recorded), "--json", str(out), printed=printed) == 0
+    out, plot, printed = tmp_path / "bench.json", tmp_path / "bench.svg", tmp_path / "printed"
+    words = ("--library", str(library), "--demos", str(recorded), "--json", str(out), "--plot", str(plot))
+    assert run(*words, printed=printed) == 0
     bench = json.loads(out.read_text())
-    assert set(bench["recognition"]) == set(plugins.names(plugins.CLASSIFIERS))
-    assert set(bench["update"]) == set(plugins.names(plugins.PREDICTORS))
-    assert all(timing["n"] == 40 and timing["median_us"] > 0 for timing in bench["update"].values())
+    assert set(bench["recognition_us"]) == set(plugins.names(plugins.CLASSIFIERS))
+    assert set(bench["update_us"]) == set(plugins.names(plugins.PREDICTORS))
+    assert all(spread["n"] == 40 and spread["median"] > 0 for spread in bench["update_us"].values())
     assert {row["what"]: row["size"] for row in bench["growth"]} == {
         "classes": 4, "voxels": 2457600, "frames seen": 40, "places": 3,
     }  # fmt: skip
@@ -105,12 +113,13 @@ def test_everything_is_measured_and_written(tmp_path: Path, monkeypatch: pytest.
     ]
     assert "update of reaching, mocap23, 16 futures for each, 3 places" in printed.read_text()
     assert bench["nodes"] == []
+    assert "<svg" in plot.read_text()
     assert bench["machine"]["usable_cores"] >= 1
 
 
 def test_impossible_options_are_refused(tmp_path: Path) -> None:
     printed = tmp_path / "printed"
-    with pytest.raises(UsageError, match="--motions"):
+    with pytest.raises(SettingsError, match="--motions"):
         run("--motions", "0", printed=printed)
     kinect = str(write_library_bag(small_library(2, 3, 40), tmp_path / "kinect"))
     with pytest.raises(HumanModelError, match="23 DoFs"):

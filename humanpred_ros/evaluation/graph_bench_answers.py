@@ -27,47 +27,23 @@ _DUE_TOLERANCE_S = 1e-6
 
 
 @dataclass(frozen=True)
-class Delays:
-    """Milliseconds of `n` answers; NaN where there was none."""
-
-    median_ms: float
-    p99_ms: float
-    most_ms: float
-    n: int
-
-    @classmethod
-    def of(cls, seconds: Sequence[float]) -> Delays:
-        if not len(seconds):
-            return cls(float("nan"), float("nan"), float("nan"), 0)
-        median, p99, most = 1e3 * np.quantile(np.asarray(seconds), (0.5, 0.99, 1.0))
-        return cls(float(median), float(p99), float(most), len(seconds))
-
-
-@dataclass(frozen=True)
 class Answers:
     """How long the answers of one run took, and what was not answered.
 
     Attributes:
-        occupancy_s: posture to occupancy, every posture.
-        step_s: posture to decision, every replanning step.
-        trajectory_s: posture to trajectory, every replanning step that sent one.
-        compute_s: what the planner itself says a step took.
+        delays_ms: from a posture's publication: `occupancy_ms` of every posture, `step_ms` (to the decision) of every
+            replanning step, `trajectory_ms` of every step that sent one; `compute_ms`: what the planner itself says a
+            step took.
         iterations: fewest STOMP iterations of a goal in each step, goals that were set aside left out; fewer than
             asked for mean that time ran out or the goal was far too expensive.
-        late: steps whose plan came too late to be taken over.
-        skipped: steps that were due and not taken, because the planner was still busy with the one before.
-        unanswered: postures without an occupancy.
+        counts: `steps` that were taken; `late`: whose plan came too late to be taken over; `skipped`: that were due
+            and not taken, because the planner was still busy with the one before; postures `unanswered`.
         ready_s: from the start of the planner's process to its first word of being ready; NaN if it never was.
     """
 
-    occupancy_s: tuple[float, ...]
-    step_s: tuple[float, ...]
-    trajectory_s: tuple[float, ...]
-    compute_s: tuple[float, ...]
-    iterations: tuple[int, ...]
-    late: int
-    skipped: int
-    unanswered: int
+    delays_ms: Mapping[str, Sequence[float]]
+    iterations: Sequence[int]
+    counts: Mapping[str, int]
     ready_s: float
 
 
@@ -80,8 +56,7 @@ class _Heard(NamedTuple):
     message: Any
 
 
-@dataclass(frozen=True)
-class PostureAnswer:
+class PostureAnswer(NamedTuple):
     """A posture and the occupancy that answered it.
 
     Attributes:
@@ -95,9 +70,9 @@ class PostureAnswer:
     heard_ns: int | None
 
     @property
-    def delay_s(self) -> float:
+    def delay_ms(self) -> float:
         """From one to the other; NaN without an answer."""
-        return float("nan") if self.heard_ns is None else (self.heard_ns - self.sent_ns) * 1e-9
+        return float("nan") if self.heard_ns is None else (self.heard_ns - self.sent_ns) * 1e-6
 
 
 def posture_answers(reader: BagReader) -> tuple[PostureAnswer, ...]:
@@ -126,22 +101,28 @@ def answers_of(bag: Path, period_s: float, planner_started_ns: int) -> Answers:
     """
     reader = BagReader(bag)
     answers = posture_answers(reader)
-    published = {answer.stamp_ns: answer.sent_ns for answer in answers}
+    sent_ns = {answer.stamp_ns: answer.sent_ns for answer in answers}
     decisions = [(entry, run_topics.decision_of(entry.message, 0.0, 0.0)) for entry in _heard(reader, topics.DECISION)]
     steps = [(entry, decision) for entry, decision in decisions if decision.is_step]
-    trajectories = _heard(reader, topics.TRAJECTORY)
+
+    def delays_ms(heard: Iterable[_Heard]) -> list[float]:
+        return [(entry.heard_ns - sent_ns[entry.stamp_ns]) * 1e-6 for entry in heard if entry.stamp_ns in sent_ns]
+
     return Answers(
-        occupancy_s=tuple(answer.delay_s for answer in answers if answer.heard_ns is not None),
-        step_s=_delays((entry for entry, _ in steps), published),
-        trajectory_s=_delays(_stamped_by_step(trajectories, decisions), published),
-        compute_s=tuple(decision.compute_s for _, decision in steps),
-        iterations=tuple(
-            min((goal.iterations for goal in decision.goals if goal.iterations), default=0) for _, decision in steps
-        ),
-        late=sum(decision.action == "missed" for _, decision in decisions),
-        skipped=skipped_steps([entry.stamp_ns * 1e-9 for entry, _ in steps], period_s),
-        unanswered=sum(answer.heard_ns is None for answer in answers),
-        ready_s=_ready_s(reader, planner_started_ns),
+        {
+            "occupancy_ms": [answer.delay_ms for answer in answers if answer.heard_ns is not None],
+            "step_ms": delays_ms(entry for entry, _ in steps),
+            "trajectory_ms": delays_ms(_stamped_by_step(_heard(reader, topics.TRAJECTORY), decisions)),
+            "compute_ms": [1e3 * decision.compute_s for _, decision in steps],
+        },
+        [min((goal.iterations for goal in decision.goals if goal.iterations), default=0) for _, decision in steps],
+        {
+            "steps": len(steps),
+            "late": sum(decision.action == "missed" for _, decision in decisions),
+            "skipped": skipped_steps([entry.stamp_ns * 1e-9 for entry, _ in steps], period_s),
+            "unanswered": sum(answer.heard_ns is None for answer in answers),
+        },
+        _ready_s(reader, planner_started_ns),
     )
 
 
@@ -159,12 +140,6 @@ def _heard(reader: BagReader, topic: str | None) -> list[_Heard]:
         message = reader.decode(record)
         found.append(_Heard(run_topics.stamp_ns(message), record.publish_time_ns, record.log_time_ns, message))
     return found
-
-
-def _delays(answers: Iterable[_Heard], published: Mapping[int, int]) -> tuple[float, ...]:
-    return tuple(
-        (answer.heard_ns - published[answer.stamp_ns]) * 1e-9 for answer in answers if answer.stamp_ns in published
-    )
 
 
 def _stamped_by_step(

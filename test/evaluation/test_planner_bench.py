@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import shutil
@@ -11,27 +10,25 @@ from typing import Any
 
 import numpy as np
 import pytest
+from lookup_share import lookup_share
 from rich.console import Console
 
-from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.planner_bench import command as planner_bench_command
-from humanpred_ros.evaluation.planner_bench import growth as planner_bench_growth
-from humanpred_ros.evaluation.planner_bench.bench import bench_planner
-from humanpred_ros.evaluation.planner_bench.floor import Lookup, Yardstick, find_yardstick
-from humanpred_ros.evaluation.planner_bench.others import OthersCores
-from humanpred_ros.evaluation.planner_bench.share import lookup_share
-from humanpred_ros.evaluation.planner_bench.timing import Times
-from humanpred_ros.evaluation.planner_bench.world import (
-    BenchWorlds,
-    Case,
+from humanpred_ros.cli import parse
+from humanpred_ros.errors import HumanPredError, UsageError
+from humanpred_ros.evaluation import planner_bench
+from humanpred_ros.evaluation.planner_bench import Lookup, PlannerBenchSettings, Yardstick, find_yardstick, measure
+from humanpred_ros.evaluation.planner_bench_world import (
+    Workload,
     ball,
+    bench_world,
     body_points,
     body_spheres,
     spread_goals,
 )
 from humanpred_ros.robot.scene import Scene, load_scene
 
-SMALL = Case(goals=2, waypoints=12, rollouts=3, points=20, spheres=10, iterations=2)
+SIZES: dict[str, Any] = {"goals": 2, "waypoints": 12, "rollouts": 3, "points": 20, "spheres": 10, "iterations": 2}
+SMALL = Workload(**SIZES)
 PROGRAM = """
 #include <cstdio>
 static const char* LINE = "%-16s thr=%d  N=%s pts=%s  1.0 Mcfg/s  %.3f ns/lookup  30k cfgs: 1.00 ms (min 0.80)\\n";
@@ -49,31 +46,22 @@ def scene() -> Scene:
     return load_scene("four_places")
 
 
-@pytest.fixture(scope="module")
-def worlds() -> BenchWorlds:
-    return BenchWorlds()
-
-
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planner_bench_growth, "GROWTH", {"goals": (1, 2), "points": (10, 20)})
+    monkeypatch.setattr(planner_bench, "GROWTH", {"goals": (1, 2), "points": (10, 20)})
 
 
-def parsed(*words: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    planner_bench_command.add_arguments(parser)
-    return parser.parse_args(words)
-
-
-def small_words(*more: str) -> argparse.Namespace:
-    sizes = [f"--{name}={getattr(SMALL, name)}" for name in ("goals", "waypoints", "rollouts", "points", "spheres")]
-    return parsed(*sizes, "--iterations=2", "--rounds=1", *more)
+def run(*words: str) -> str:
+    printed = io.StringIO()
+    command, settings = parse(["bench", "planner", *words])
+    assert command(settings, Console(file=printed, width=120)) == 0
+    return printed.getvalue()
 
 
 def test_the_issues_case_has_the_lookups_it_says() -> None:
-    assert Case().lookups == 50 * (10 + 1) * 60 * (150 + 50)
+    assert Workload().lookups == 50 * (10 + 1) * 60 * (150 + 50)
     # Of ten rollouts, five are kept in all updates but the first.
-    assert Case(reused=5).configurations == 60 * (11 + 49 * 6)
+    assert Workload(reused=5).lookups == 60 * (11 + 49 * 6) * (150 + 50)
 
 
 @pytest.mark.parametrize("count", [5, 26, 50, 130])
@@ -115,55 +103,58 @@ def test_the_ball_is_the_yardsticks() -> None:
     assert p[2] == 0.0
 
 
-def test_hardly_any_lookup_is_skipped_in_the_shelf_and_none_where_none_can_be(worlds: BenchWorlds) -> None:
-    case = Case(goals=1, points=60, spheres=30)
-    world, full = worlds.world(case), worlds.world(case, skippable=False)
-    assert lookup_share(world, world.paths[0]).all > 0.8
-    assert lookup_share(full, full.paths[0]).all == 1.0
+def test_no_lookup_is_skipped_in_the_shelf_nor_where_none_can_be() -> None:
+    workload = Workload(goals=1, points=60, spheres=30)
+    world, full = bench_world(workload), bench_world(workload, skippable=False)
+    assert min(lookup_share(world, world.paths[0])) > 0.8
+    assert lookup_share(full, full.paths[0]) == (1.0, 1.0)
 
 
-def test_nothing_is_looked_up_far_from_everything(worlds: BenchWorlds) -> None:
-    world = worlds.world(SMALL)
+def test_nothing_is_looked_up_far_from_everything() -> None:
     away = np.tile([-2.1, -0.5, 0.0, -0.2, 0.0, -0.1, 0.0], (12, 1))  # stretched out to the side
-    share = lookup_share(world, away)
-    assert share.points == 0.0
-    assert share.spheres < 0.5
+    points, spheres = lookup_share(bench_world(SMALL), away)
+    assert points == 0.0
+    assert spheres < 0.5
 
 
 @COMPILER
 def test_the_floor_is_the_line_for_float32_on_one_thread(tmp_path: Path) -> None:
     source = tmp_path / "cost_floor.cpp"
     source.write_text(PROGRAM)
-    yardstick = Yardstick.compiled(find_yardstick(str(source)), tmp_path)
-    assert yardstick.lookup(200, 1000) == Lookup(2.5, 2.0, 1.25)
+    yardstick = Yardstick.compiled(find_yardstick(source), tmp_path)
+    assert yardstick.lookup(SMALL) == Lookup(2.5, 2.0, 1.25)
     source.write_text('#include <cstdio>\nint main() { printf("something else\\n"); }')
     with pytest.raises(UsageError, match="f32 W32 thr=1"):
-        Yardstick.compiled(source, tmp_path).lookup(200, 1000)
+        Yardstick.compiled(source, tmp_path).lookup(SMALL)
     source.write_text("this is not C++")
     with pytest.raises(UsageError, match="wanted a source that g"):
         Yardstick.compiled(source, tmp_path)
 
 
-def test_without_source_or_compiler_there_is_no_floor_and_a_reason(tmp_path: Path, quick: None) -> None:
+def test_without_source_or_compiler_there_is_no_floor_and_a_reason(
+    tmp_path: Path, quick: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert "--yardstick" in Yardstick.compiled(None, tmp_path).missing
     source = tmp_path / "cost_floor.cpp"
     source.write_text(PROGRAM)
     yardstick = Yardstick.compiled(source, tmp_path, compiler="no-such-compiler")
     assert "no-such-compiler" in yardstick.missing
-    bench = bench_planner(SMALL, yardstick, rounds=1)
-    assert bench.floor_ms is bench.to_floor is None
-    assert bench.no_floor == yardstick.missing
+    assert yardstick.lookup(SMALL) is None
+    monkeypatch.setattr(planner_bench, "find_yardstick", lambda told: None)
+    report = measure(PlannerBenchSettings(**SIZES, rounds=1), lambda what, total: lambda done: None)
+    assert report.figures["floor_ms"] is report.figures["to_floor"] is None
+    assert report.figures["ours_ms"].n == 1
+    assert report.figures["no_floor"] in report.notes
     with pytest.raises(UsageError, match="there is no"):
-        find_yardstick(str(tmp_path / "absent.cpp"))
+        find_yardstick(tmp_path / "absent.cpp")
 
 
 @COMPILER
 def test_everything_is_measured_printed_and_written(tmp_path: Path, quick: None) -> None:
     source, out, plot = tmp_path / "cost_floor.cpp", tmp_path / "bench.json", tmp_path / "bench.png"
     source.write_text(PROGRAM)
-    options = small_words("--yardstick", str(source), "--json", str(out), "--plot", str(plot))
-    printed = io.StringIO()
-    assert planner_bench_command.run(options, Console(file=printed, width=120)) == 0
+    sizes = [word for name, value in SIZES.items() for word in (f"--{name}", str(value))]
+    printed = run(*sizes, "--rounds", "1", "--yardstick", str(source), "--json", str(out), "--plot", str(plot))
     bench: dict[str, Any] = json.loads(out.read_text())
     assert bench["lookups"] == SMALL.lookups
     assert bench["floor_ms"]["median"] == pytest.approx(2.5e-6 * SMALL.lookups)
@@ -176,20 +167,9 @@ def test_everything_is_measured_printed_and_written(tmp_path: Path, quick: None)
     ]  # fmt: skip
     assert bench["growth"][1]["lookups"] == 2 * bench["growth"][0]["lookups"]
     assert bench["growth"][0]["two_threads_ms"]["n"] == bench["growth"][3]["ours_ms"]["n"]
-    assert bench["targets"]["to_floor"] == 1.8
     assert bench["machine"]["usable_cores"] >= 1
-    assert "one goal / floor" in printed.getvalue()
+    assert "one goal / floor" in printed
     assert plot.read_bytes()[:4] == b"\x89PNG"
-
-
-def test_figures_of_measurements() -> None:
-    times = Times.of([3.0, 1.0, 2.0, 10.0])
-    assert (times.median, times.least, times.most, times.n) == (2.5, 1.0, 10.0, 4)
-
-
-def test_what_others_use_is_never_negative() -> None:
-    mean = OthersCores().mean()
-    assert mean is None or mean >= 0.0
 
 
 @pytest.mark.parametrize(
@@ -205,5 +185,5 @@ def test_what_others_use_is_never_negative() -> None:
     ],
 )
 def test_impossible_options_are_refused_before_anything_is_measured(words: list[str], message: str) -> None:
-    with pytest.raises(UsageError, match=message):
-        planner_bench_command.run(parsed(*words), Console(file=io.StringIO()))
+    with pytest.raises(HumanPredError, match=message):
+        run(*words)

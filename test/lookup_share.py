@@ -6,31 +6,18 @@ all of them. What is counted here is one iteration around a given trajectory.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from humanpred_ros.evaluation.planner_bench.world import BenchWorld
+from humanpred_ros.evaluation.planner_bench_world import BenchWorld
 from humanpred_ros.geometry.chain_kernels import BLOCK
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.stomp import iteration_kernels
 
-BoolArray = NDArray[np.bool_]
 
-
-@dataclass(frozen=True)
-class LookupShare:
-    """Share of lookups done, 0 to 1: of body points, of spheres, and of both."""
-
-    points: float
-    spheres: float
-    all: float
-
-
-def lookup_share(world: BenchWorld, path: FloatArray) -> LookupShare:
-    """Return the share of lookups done in an iteration around the trajectory `path` (N, 7)."""
-    planner, count = world.planner, world.case.rollouts
+def lookup_share(world: BenchWorld, path: FloatArray) -> tuple[float, float]:
+    """Return the shares of points and of spheres looked up in an iteration around the trajectory `path` (N, 7)."""
+    planner, count = world.planner, world.workload.rollouts
     bits = iteration_kernels.random_bits(np.random.default_rng(0), path[1:-1].size * count)
     factor, rollouts = planner.smoothness.factor, np.empty((count + 1, *path.shape), dtype=np.float32)
     iteration_kernels.sample(
@@ -38,9 +25,7 @@ def lookup_share(world: BenchWorld, path: FloatArray) -> LookupShare:
         factor.astype(np.float32), rollouts,
     )  # fmt: skip
     q = rollouts.astype(np.float64).reshape(-1, path.shape[1])
-    points, spheres = _points_done(world, q), _spheres_done(world, q)
-    n_points, n_spheres = world.case.points, world.case.spheres
-    return LookupShare(points, spheres, (points * n_points + spheres * n_spheres) / (n_points + n_spheres))
+    return _points_done(world, q), _spheres_done(world, q)
 
 
 def _points_done(world: BenchWorld, q: FloatArray) -> float:
@@ -48,8 +33,6 @@ def _points_done(world: BenchWorld, q: FloatArray) -> float:
     human, occupancy = world.human, world.human.occupancy
     grid = occupancy.grid
     used = np.argwhere(occupancy.probability > 0.0)
-    if not len(used):
-        return 0.0
     low = np.asarray(grid.origin_m) + used.min(axis=0) * grid.resolution_m
     high = np.asarray(grid.origin_m) + (used.max(axis=0) + 1) * grid.resolution_m
     poses = world.arm.chain.link_poses(q)
@@ -59,7 +42,7 @@ def _points_done(world: BenchWorld, q: FloatArray) -> float:
         centre, radius = _ball(local, np.zeros(len(local)))
         at = poses[:, link, :3, :3] @ centre + poses[:, link, :3, 3]
         gap = np.maximum(low - at, at - high).max(axis=1)
-        done += len(local) * _share_of_blocks(gap < radius + 0.5 * grid.resolution_m, BLOCK)
+        done += len(local) * float(_blocks(gap < radius + 0.5 * grid.resolution_m, BLOCK).mean())
     return done / len(human.points)
 
 
@@ -87,10 +70,6 @@ def _ball(local: FloatArray, radius: FloatArray) -> tuple[FloatArray, float]:
     return centre, float((np.linalg.norm(local - centre, axis=1) + radius).max())
 
 
-def _blocks(near: BoolArray, block: int) -> BoolArray:
+def _blocks(near: NDArray[np.bool_], block: int) -> NDArray[np.bool_]:
     """Return for each block of configurations whether one of them is near."""
     return np.logical_or.reduceat(near, np.arange(0, len(near), block))
-
-
-def _share_of_blocks(near: BoolArray, block: int) -> float:
-    return float(_blocks(near, block).mean())

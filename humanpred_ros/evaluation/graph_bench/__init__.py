@@ -1,1 +1,0 @@
-"""From posture to trajectory over DDS (`humanpred bench graph`)."""

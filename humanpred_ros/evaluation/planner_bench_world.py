@@ -1,0 +1,182 @@
+"""The workload of `humanpred bench planner`: a place where the planner cannot save itself any work.
+
+In an open scene most links are far from everything and the kernels skip them. A figure from there would say little
+about the cost of a lookup, so the bench's arm reaches into a shelf whose boards are near every link, through a ball of
+occupancy as in the C++ yardstick. A second world leaves nothing at all to skip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from humanpred_ros.errors import SettingsError
+from humanpred_ros.geometry.chain import BodyPoints, BodySpheres
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.distance_field import SignedDistanceField, build_distance_field
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
+from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
+from humanpred_ros.planning.path import straight
+from humanpred_ros.robot.pr2 import BODY_POINT_SPACING_M, Pr2Arm
+from humanpred_ros.robot.scene import Scene, load_scene
+from humanpred_ros.settings import Settings, setting, setting_of
+from humanpred_ros.stomp.config import StompConfig
+from humanpred_ros.stomp.costs import HumanOccupancyCost, ObstacleCost, SmoothnessCost
+from humanpred_ros.stomp.planner import StompPlanner
+
+#: Arm, start and goals are this scene's.
+SCENE = "four_places"
+#: The boards of the shelf, m: heights of the faces, and where they lie. The arm's way runs from 0.85 to 1.20 m.
+_LOWER_BOARD_M, _UPPER_BOARD_M, _THICKNESS_M = 0.85, 1.25, 0.02
+_BOARD_CENTRE_M, _BOARD_SIZE_M = (-0.1, -0.6), (1.6, 1.2)
+#: Grid and ball of the yardstick: a cube of 2 m, the ball 1.2, 1.2 and 1.1 m from its lower corner, twice as high as
+#: it is wide.
+_GRID_M, _RESOLUTION_M, _BALL_RADIUS_M = (80, 80, 80), 0.025, 0.35
+_BALL_IN_GRID_M, _BALL_STRETCH = np.array([1.2, 1.2, 1.1]), np.array([1.0, 1.0, 0.5])
+#: Where nothing is to be skipped, every voxel is a little occupied and no distance exceeds this, m.
+_HAZE, _NEAR_M = 1e-3, 0.05
+
+
+class Workload(Settings):
+    """How much there is to plan."""
+
+    goals: int = setting(8, "goals planned to on two threads", low=1)
+    waypoints: int = setting_of(StompConfig, "waypoints", default=60, description="waypoints of a trajectory")
+    rollouts: int = setting_of(StompConfig, "rollouts", description="noisy rollouts per iteration")
+    points: int = setting(150, "body points looked up in the occupancy", low=1)
+    spheres: int = setting(50, "spheres looked up in the distance field", low=1)
+    iterations: int = setting_of(StompConfig, "iterations", description="STOMP iterations", low=1)
+    reused: int = setting(0, "rollouts kept from the iteration before; 0: fresh noise", low=0)
+
+    def check(self) -> None:
+        """Refuse more reused rollouts than rollouts."""
+        if self.reused >= self.rollouts:
+            raise SettingsError(
+                f"{type(self).__name__} reused: wanted fewer than rollouts ({self.rollouts}), got {self.reused}"
+            )
+
+    @property
+    def lookups(self) -> int:
+        """Lookups per goal: each point in the occupancy and each sphere in the distance field, per configuration.
+
+        Configurations are those of every new rollout and of the noiseless trajectory, in every iteration.
+        """
+        new = self.rollouts - self.reused
+        configurations = (self.iterations * (new + 1) + self.reused) * self.waypoints
+        return configurations * (self.points + self.spheres)
+
+
+@dataclass(frozen=True, eq=False)
+class BenchWorld:
+    """Everything a workload is planned with.
+
+    Attributes:
+        workload: how much there is to plan.
+        planner: ours, with obstacle, human occupancy and smoothness as its cost terms.
+        paths: (N, 7) straight line to each goal.
+        arm: the PR2's.
+        human, obstacle: two of the cost terms.
+    """
+
+    workload: Workload
+    planner: StompPlanner
+    paths: tuple[FloatArray, ...]
+    arm: Pr2Arm
+    human: HumanOccupancyCost
+    obstacle: ObstacleCost
+
+
+def bench_world(workload: Workload, *, skippable: bool = True) -> BenchWorld:
+    """Return the world of a workload.
+
+    Args:
+        workload: how much there is to plan.
+        skippable: False leaves nothing to skip: some occupancy in every voxel, something near everywhere.
+    """
+    scene, field, near_field = _surroundings()
+    arm, chain = scene.arm, scene.arm.chain
+    # All iterations are done, whether or not they still help.
+    stomp = workload.part(StompConfig, patience=0)
+    paths = tuple(straight(scene.start, goal, workload.waypoints) for goal in spread_goals(scene, workload.goals))
+    middle = np.mean([chain.tool_pose(path[len(path) // 2])[:3, 3] for path in paths], axis=0)
+    occupancy = ball(middle, 0.0 if skippable else _HAZE)
+    human = HumanOccupancyCost(chain, body_points(arm, workload.points), occupancy, stomp.human_weight)
+    spheres = body_spheres(arm, workload.spheres)
+    obstacle = ObstacleCost(chain, spheres, field if skippable else near_field, stomp.obstacle_weight)
+    terms = (obstacle, human, SmoothnessCost(stomp.smoothness_weight))
+    return BenchWorld(workload, StompPlanner(terms, chain.lower, chain.upper, stomp), paths, arm, human, obstacle)
+
+
+@cache
+def _surroundings() -> tuple[Scene, SignedDistanceField, SignedDistanceField]:
+    """Return the scene, the distances to the shelf, and the same distances, none of which exceeds `_NEAR_M`."""
+    scene = load_scene(SCENE)
+    faces_m = {"lower board": _LOWER_BOARD_M - _THICKNESS_M / 2.0, "upper board": _UPPER_BOARD_M + _THICKNESS_M / 2.0}
+    size = np.array((*_BOARD_SIZE_M, _THICKNESS_M))
+    boards = [Obstacle(name, Box(planar_pose(*_BOARD_CENTRE_M, z, 0.0), size)) for name, z in faces_m.items()]
+    centre, radius = scene.arm.reach
+    shelf = build_distance_field(boards, centre - radius, centre + radius)
+    near = SignedDistanceField(shelf.origin_m, shelf.resolution_m, np.minimum(shelf.values, np.float32(_NEAR_M)))
+    return scene, shelf, near
+
+
+def spread_goals(scene: Scene, count: int) -> tuple[FloatArray, ...]:
+    """Return `count` configurations (7,) spread evenly along the closed line through the scene's goals."""
+    corners = np.array([goal.configuration for goal in scene.goals])
+    found = []
+    for s in np.arange(count) * len(corners) / count:
+        k, part = int(s), float(s - int(s))
+        found.append((1.0 - part) * corners[k] + part * corners[(k + 1) % len(corners)])
+    return tuple(found)
+
+
+def body_points(arm: Pr2Arm, count: int) -> BodyPoints:
+    """Return `count` points on the arm, spread over its links as `Pr2Arm.body_points` spreads them."""
+    spacing = BODY_POINT_SPACING_M
+    points = arm.body_points(spacing)
+    while len(points) < count:
+        spacing /= 1.3
+        points = arm.body_points(spacing)
+    kept = _thinned(len(points), count)
+    return BodyPoints(points.link[kept], points.local_m[kept])
+
+
+def body_spheres(arm: Pr2Arm, count: int) -> BodySpheres:
+    """Return `count` spheres on the arm: those of `Pr2Arm.spheres` thinned, or the largest doubled along the link.
+
+    The two halves of a sphere keep its radius and lie a quarter of it to either side, so the same links are covered
+    to within that.
+    """
+    spheres = arm.spheres()
+    kept = _thinned(len(spheres), min(count, len(spheres)))
+    link, centre, radius = spheres.link[kept].tolist(), list(spheres.centre_m[kept]), spheres.radius_m[kept].tolist()
+    halved = [0] * len(link)
+    while len(link) < count:
+        # The largest first; once halved, a sphere counts as half as large.
+        k = int(np.argmax([r / 2**times for r, times in zip(radius, halved, strict=True)]))
+        aside = np.array([radius[k] / 2.0 ** (halved[k] + 2), 0.0, 0.0])  # PR2 links lie along x
+        centre[k : k + 1] = [centre[k] - aside, centre[k] + aside]
+        for values in (link, radius):
+            values.insert(k, values[k])
+        halved[k : k + 1] = [halved[k] + 1] * 2
+    return BodySpheres(np.array(link), np.array(centre), np.array(radius))
+
+
+def ball(centre_m: FloatArray, least: float = 0.0) -> Occupancy:
+    """Return the yardstick's ball of occupancy around `centre_m` (3,) in its cube of 2 m at 2.5 cm.
+
+    Args:
+        centre_m: world frame.
+        least: probability of every other voxel.
+    """
+    origin = centre_m - _BALL_IN_GRID_M
+    grid = VoxelGrid((float(origin[0]), float(origin[1]), float(origin[2])), _RESOLUTION_M, _GRID_M)
+    offset = (grid.centres_m(np.arange(grid.size)) - centre_m) * _BALL_STRETCH
+    p = np.maximum(1.0 - np.linalg.norm(offset, axis=1) / _BALL_RADIUS_M, least)
+    return Occupancy(grid, p.astype(np.float32).reshape(grid.shape))
+
+
+def _thinned(available: int, count: int) -> list[int]:
+    return [int((k + 0.5) * available / count) for k in range(count)]

@@ -1,1 +1,0 @@
-"""How long one posture takes (`humanpred bench predictor`)."""
