@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humanpred_ros.planning.path import straight
+from humanpred_ros.planning.trajectory import TimedTrajectory
 
 #: Half the PR2 arm's velocity limits, as the replanner uses them.
 V = np.array([2.088, 2.082, 3.27, 3.3, 3.6, 3.078, 3.6]) * 0.5
@@ -24,3 +25,8 @@ def a_path(rng: np.random.Generator, q: NDArray[np.float64], v: NDArray[np.float
     path = np.clip(path, -BOX, BOX)
     path[0] = q
     return path
+
+
+def rest_of(trajectory: TimedTrajectory, t_s: float, n_waypoints: int) -> NDArray[np.float64]:
+    """Return configurations from a time to the end, evenly spaced in time."""
+    return trajectory.sample(np.linspace(t_s, trajectory.end_s, n_waypoints))[0]

@@ -59,10 +59,10 @@ class SignedDistanceField:
         resolution that can hide its sign, so compare with a robot's radius, not with zero.
         """
         points = _points(points_m)
-        from humanpred_ros.geometry.lattice_kernels import values_at  # numba, which not every node needs
+        from humanpred_ros.geometry.lattice_kernels import Lattice, values_at  # numba, which not every node needs
 
-        flat = np.ascontiguousarray(points.reshape(-1, 3))
-        return values_at(flat, self.values, self.origin_m, 1.0 / self.resolution_m).reshape(points.shape[:-1])
+        lattice = Lattice(self.values, self.origin_m, 1.0 / self.resolution_m)
+        return values_at(np.ascontiguousarray(points.reshape(-1, 3)), lattice).reshape(points.shape[:-1])
 
     def nearest(self, points_m: FloatArray) -> FloatArray:
         """Return the distances (...) stored at the nodes nearest to world points (..., 3)."""

@@ -7,7 +7,7 @@ moved onto the lattice instead of being tested for; a lattice whose values outsi
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,20 +91,22 @@ def interpolate(w: NDArray[Any], cell: NDArray[Any], lattice: NDArray[Any], ny: 
         w[VALUE + i] = a + x * (b - a)
 
 
-@exact_part
-def value_at(x: float, y: float, z: float, values: NDArray[Any], origin: FloatArray, cells_per_m: float) -> float:
-    """Return the value at one place in double precision, linear along each axis between eight nodes.
+class Lattice(NamedTuple):
+    """Values at nodes (nx, ny, nz), place of the first node (3,), nodes per metre; outside, the border goes on."""
 
-    Args:
-        x, y, z: world frame; what is outside the lattice is moved onto its border.
-        values: (nx, ny, nz) at the nodes.
-        origin: (3,) place of the first node.
-        cells_per_m: nodes per metre.
-    """
+    values: NDArray[np.float32]
+    origin: FloatArray
+    cells_per_m: float
+
+
+@exact_part
+def value_at(x: float, y: float, z: float, lattice: Lattice) -> float:
+    """Return the value at one place in double precision, linear along each axis between eight nodes."""
+    values, origin = lattice.values, lattice.origin
     nx, ny, nz = values.shape
-    x = min(max((x - origin[0]) * cells_per_m, 0.0), nx - 1.0)
-    y = min(max((y - origin[1]) * cells_per_m, 0.0), ny - 1.0)
-    z = min(max((z - origin[2]) * cells_per_m, 0.0), nz - 1.0)
+    x = min(max((x - origin[0]) * lattice.cells_per_m, 0.0), nx - 1.0)
+    y = min(max((y - origin[1]) * lattice.cells_per_m, 0.0), ny - 1.0)
+    z = min(max((z - origin[2]) * lattice.cells_per_m, 0.0), nz - 1.0)
     i, j, k = min(int(x), nx - 2), min(int(y), ny - 2), min(int(z), nz - 2)
     u, v, w = x - i, y - j, z - k
     near = (values[i, j, k] * (1.0 - w) + values[i, j, k + 1] * w) * (1.0 - v) + (
@@ -118,9 +120,9 @@ def value_at(x: float, y: float, z: float, values: NDArray[Any], origin: FloatAr
 
 
 @exact
-def values_at(points: FloatArray, values: NDArray[Any], origin: FloatArray, cells_per_m: float) -> FloatArray:
+def values_at(points: FloatArray, lattice: Lattice) -> FloatArray:
     """Return the values (N,) at points (N, 3), as `value_at` does."""
     out = np.empty(len(points))
     for n in range(len(points)):
-        out[n] = value_at(points[n, 0], points[n, 1], points[n, 2], values, origin, cells_per_m)
+        out[n] = value_at(points[n, 0], points[n, 1], points[n, 2], lattice)
     return out

@@ -1,6 +1,7 @@
-"""What one replanning step decided and why: the record that reports, bags and tests compare.
+"""What one replanning step decided and why, and the state that follows from it and is carried to the next step.
 
-Two decisions are equal if every number in them is, bit for bit. The computing time is kept apart from that.
+Decisions are what reports, bags and tests compare. Two are equal if every number in them is, bit for bit. The computing
+time is kept apart from that.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 
 from humanpred_ros.geometry.checks import FloatArray, frozen
-from humanpred_ros.planning.trajectory import TimedTrajectory
+from humanpred_ros.planning.trajectory import Schedule, TimedTrajectory
 
 REPLAN = "replan"
 KEEP = "keep"
@@ -167,3 +168,86 @@ def _same(one: GoalReport | Decision, other: object) -> bool:
         if not same:
             return False
     return True
+
+
+#: Stamps count as due this much early, s: they are whole nanoseconds, periods are not.
+_DUE_TOLERANCE_S = 1e-6
+
+
+@dataclass
+class State:
+    """All that changes while the robot works.
+
+    Attributes:
+        period_s: of replanning steps.
+        schedule: what the robot executes when.
+        goals: configurations (K, D) of each goal, continuous joints unwrapped from where the robot started.
+        last_stamp_s: of the newest step.
+        last_due_s: of the newest step that was due.
+        step: number of the next step.
+        paths: path (N, D) to each goal found by the last step; empty before the first.
+        set_aside: goals that the last step did not consider, with the reason.
+        left: how often each goal has been given up for another.
+        chosen: goal being worked on; None before the first choice.
+        leads_to: goal that the trajectory being executed ends at; None while stopping or moving aside.
+        held: why the robot has been stopped; empty while it has not.
+        urgent: whether any occupancy calls for a step, after an emergency stop.
+    """
+
+    period_s: float
+    schedule: Schedule
+    goals: Mapping[str, FloatArray]
+    last_stamp_s: float
+    last_due_s: float
+    step: int = 1
+    paths: dict[str, FloatArray] = field(default_factory=dict)
+    set_aside: dict[str, str] = field(default_factory=dict)
+    left: dict[str, int] = field(default_factory=dict)
+    chosen: str | None = None
+    leads_to: str | None = None
+    held: str = ""
+    urgent: bool = False
+
+    def due(self, t_s: float) -> bool:
+        """Return whether an occupancy stamped `t_s` calls for a step."""
+        return self.urgent or self._on_time(t_s)
+
+    def at_goal(self, t_s: float) -> bool:
+        """Return whether the robot will rest at the chosen goal at `t_s`."""
+        if self.chosen is None or self.held:
+            return False
+        executing = self.schedule.at(t_s)
+        return executing.end_s <= t_s and bool((executing.q[-1] == self.goals[self.chosen]).all(axis=1).any())
+
+    def take(self, decision: Decision) -> None:
+        """Go on as a step has decided."""
+        if decision.trajectory is not None:
+            self.schedule.add(decision.t_switch_s, decision.trajectory)
+        if decision.trajectory is not None or decision.action == HOLD:
+            self.leads_to = decision.chosen if decision.action == REPLAN else None
+        self.held = decision.reason if decision.action == HOLD else ""
+        self.paths.update({report.name: report.path for report in decision.goals})
+        self.set_aside = {report.name: report.set_aside for report in decision.goals if report.set_aside}
+        if decision.switched and decision.previous is not None:
+            self.left[decision.previous] = self.left.get(decision.previous, 0) + 1
+        self.chosen = decision.chosen
+        self.count(decision.stamp_s)
+
+    def count(self, stamp_s: float) -> None:
+        """Note a step; those between two due ones, for a motion that has become bad, do not put the next one off."""
+        self.step += 1
+        self.last_stamp_s = stamp_s
+        self.urgent = False
+        if self._on_time(stamp_s):
+            self.last_due_s = stamp_s
+
+    def stop(self, decision: Decision) -> None:
+        """Note a hold, which needs no commitment."""
+        if decision.trajectory is not None:
+            self.schedule.add(decision.t_switch_s, decision.trajectory)
+            self.step += 1
+        self.held, self.leads_to = decision.reason, None
+        self.urgent = True
+
+    def _on_time(self, t_s: float) -> bool:
+        return t_s >= self.last_due_s + self.period_s - _DUE_TOLERANCE_S

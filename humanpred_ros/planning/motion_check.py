@@ -19,15 +19,17 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.chain import BodySpheres, KinematicChain
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.distance_field import SignedDistanceField
-from humanpred_ros.planning import motion_kernels
+from humanpred_ros.geometry.lattice_kernels import Lattice
+from humanpred_ros.planning.motion_kernels import SphereArm, search
 from humanpred_ros.planning.trajectory import TimedTrajectory
 
+#: What a trouble is with: names of `Trouble.what`.
 OBSTACLE, SELF = "obstacle", "self"
 #: Ways shorter than this are not halved any more, m: clearances within half of it of the padding count as
 #: trouble though they may be none.
@@ -116,120 +118,91 @@ class MotionChecker:
             raise PlanningError(f"motion check: wanted spheres on joints 0 to {n - 1}, got {self.spheres.link}")
 
     @cached_property
-    def _flat(self) -> _Flat:
-        return _flatten(self.chain, self.spheres)
+    def _arm(self) -> SphereArm:
+        spheres, n = self.spheres, self.chain.n_joints
+        order = np.argsort(spheres.link, kind="stable")
+        return SphereArm(
+            *self.chain.joints,
+            spheres=np.column_stack([spheres.centre_m, spheres.radius_m])[order],
+            first=np.searchsorted(spheres.link[order], np.arange(n + 1)).astype(np.int64),
+            lever=lever_arms_m(self.chain, spheres)[:, order],
+        )
 
     def against(self, field: SignedDistanceField, padding_m: float, what: str) -> MotionChecker:
         """Return the same check against something else (the person, say), without self-collision; cheap."""
         other = replace(self, field=field, padding_m=padding_m, what=what, self_clearance=None)
-        other.__dict__["_flat"] = self._flat  # the arm is the same
+        other.__dict__["_arm"] = self._arm  # the same one
         return other
 
     def first_trouble(
-        self, trajectory: TimedTrajectory, begin_s: float = -np.inf, end_s: float | None = None
+        self, movement: TimedTrajectory | ArrayLike, begin_s: float = -np.inf, end_s: float | None = None
     ) -> Trouble | None:
-        """Return where a trajectory first lacks the padding from `begin_s` to `end_s` (its end), or None.
+        """Return where a movement first lacks the padding, or None.
+
+        Args:
+            movement: a trajectory, or a path (N, D) of waypoints joined by straight lines.
+            begin_s, end_s: the part of a trajectory that is looked at; all of it if not given.
 
         Raises:
-            PlanningError: for a trajectory of other joints, or times that are NaN.
+            PlanningError: for a movement of other joints, an empty path, or times that are NaN.
         """
-        pieces, times = self._pieces(trajectory, begin_s, end_s)
-        return self._first(pieces, times)
-
-    def first_trouble_on_path(self, path: ArrayLike) -> Trouble | None:
-        """Return where a path (N, D) of waypoints joined by straight lines first lacks the padding, or None.
-
-        Raises:
-            PlanningError: for a path of another shape.
-        """
-        return self._first(*self._lines(path))
-
-    def nearest(self, trajectory: TimedTrajectory, begin_s: float = -np.inf, end_s: float | None = None) -> Nearest:
-        """Return how close spheres come to what is in `field` along a trajectory; padding plays no part.
-
-        Raises:
-            PlanningError: for a trajectory of other joints, or times that are NaN.
-        """
-        return self._nearest(*self._pieces(trajectory, begin_s, end_s))
-
-    def nearest_on_path(self, path: ArrayLike) -> Nearest:
-        """Return the same for a path (N, D) of waypoints joined by straight lines."""
-        return self._nearest(*self._lines(path))
-
-    def _first(self, pieces: FloatArray, times: FloatArray) -> Trouble | None:
+        pieces, times = self._pieces(movement, begin_s, end_s)
         piece, part, sphere, clearance, _ = self._search(pieces, self.padding_m, find_least=False)
-        trouble = None
+        what, link = self.what, self._link(sphere)
         if piece >= 0:
-            trouble = self._trouble(self.what, pieces, times, piece, part, clearance, self._link(sphere))
-            # What comes later does not matter any more.
-            pieces, times = pieces[: piece + 1], times[: piece + 2]
+            pieces = pieces[: piece + 1]  # what comes later does not matter any more
         if self.self_clearance is not None:
-            found = _first_self(self.self_clearance, pieces, self._flat, self.padding_m, self.resolution_m)
-            if found is not None:
-                other = self._trouble(SELF, pieces, times, *found, "")
-                trouble = other if trouble is None or other.at < trouble.at else trouble
-        return trouble
-
-    def _nearest(self, pieces: FloatArray, times: FloatArray) -> Nearest:
-        piece, part, sphere, clearance, floor = self._search(pieces, np.inf, find_least=True)
-        return Nearest(clearance, floor, _between(times, piece, part), self._link(sphere))
-
-    def _search(self, pieces: FloatArray, padding_m: float, find_least: bool) -> tuple[int, float, int, float, float]:
-        flat, field = self._flat, self.field
-        result: tuple[int, float, int, float, float] = motion_kernels.search(
-            pieces, *self.chain.joints, flat.spheres, flat.first, flat.lever,
-            field.values, field.origin_m, 1.0 / field.resolution_m, padding_m, self.resolution_m, find_least,
-        )  # fmt: skip
-        return result
-
-    def _trouble(
-        self, what: str, pieces: FloatArray, times: FloatArray, piece: int, part: float, clearance: float, link: str
-    ) -> Trouble:
+            found = _first_self(self.self_clearance, pieces, self._arm.lever, self.padding_m, self.resolution_m)
+            if found is not None and (piece < 0 or _between(times, *found[:2]) < _between(times, piece, part)):
+                what, link, (piece, part, clearance) = SELF, "", found
+        if piece < 0:
+            return None
         q = place_on(pieces[piece], part)
         return Trouble(what, _between(times, piece, part), float(clearance), self.padding_m, link, q)
 
+    def nearest(
+        self, movement: TimedTrajectory | ArrayLike, begin_s: float = -np.inf, end_s: float | None = None
+    ) -> Nearest:
+        """Return how close spheres come to what is in `field`; padding plays no part.
+
+        Arguments and errors as in `first_trouble`.
+        """
+        pieces, times = self._pieces(movement, begin_s, end_s)
+        piece, part, sphere, clearance, floor = self._search(pieces, np.inf, find_least=True)
+        return Nearest(clearance, floor, _between(times, piece, part), self._link(sphere))
+
+    def gaps_m(self, q: FloatArray) -> FloatArray:
+        """Return the least clearance (K,) of any sphere at each of the configurations (K, D)."""
+        gaps = self.field.distance(self.spheres.world_m(self.chain, q)) - self.spheres.radius_m
+        least: FloatArray = gaps.min(axis=1)
+        return least
+
+    def _search(self, pieces: FloatArray, padding_m: float, find_least: bool) -> tuple[int, float, int, float, float]:
+        lattice = Lattice(self.field.values, self.field.origin_m, 1.0 / self.field.resolution_m)
+        return search(pieces, self._arm, lattice, padding_m, self.resolution_m, find_least)
+
     def _link(self, sphere: int) -> str:
-        return self.chain.joint_names[int(np.searchsorted(self._flat.first, sphere, side="right")) - 1]
+        return self.chain.joint_names[int(np.searchsorted(self._arm.first, sphere, side="right")) - 1]
 
     def _pieces(
-        self, trajectory: TimedTrajectory, begin_s: float, end_s: float | None
+        self, movement: TimedTrajectory | ArrayLike, begin_s: float, end_s: float | None
     ) -> tuple[FloatArray, FloatArray]:
-        if trajectory.q.shape[1] != self.chain.n_joints:
-            raise PlanningError(
-                f"motion check: wanted trajectories of {self.chain.n_joints} joints, got {trajectory.q.shape[1]}"
-            )
-        end = trajectory.end_s if end_s is None else end_s
+        """Return a movement as curves (K, 6, D), and the times (K + 1,) between them."""
+        n = self.chain.n_joints
+        if not isinstance(movement, TimedTrajectory):
+            points = checked("path", movement, ("N", n), error=PlanningError)
+            if len(points) == 0:
+                raise PlanningError("motion check: wanted a path of one or more waypoints, got none")
+            points = np.repeat(points, 2, axis=0) if len(points) == 1 else points
+            part = np.linspace(0.0, 1.0, 6)[None, :, None]
+            return points[:-1, None] * (1.0 - part) + points[1:, None] * part, np.arange(len(points), dtype=np.float64)
+        if movement.q.shape[1] != n:
+            raise PlanningError(f"motion check: wanted trajectories of {n} joints, got {movement.q.shape[1]}")
+        end = movement.end_s if end_s is None else end_s
         if np.isnan(begin_s) or np.isnan(end):
             raise PlanningError(f"motion check: wanted a time to begin and to end, got {begin_s} and {end}")
-        begin = max(begin_s, trajectory.start_s)
-        return curves(trajectory, begin, max(min(end, trajectory.end_s), begin))
-
-    def _lines(self, path: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        points = checked("path", path, ("N", self.chain.n_joints), error=PlanningError)
-        if len(points) == 0:
-            raise PlanningError("motion check: wanted a path of one or more waypoints, got none")
-        if len(points) == 1:
-            points = np.repeat(points, 2, axis=0)
-        return lines(points), np.arange(len(points), dtype=np.float64)
-
-
-@dataclass(frozen=True, eq=False)
-class _Flat:
-    """What the kernels want of the spheres, in the order of their joints."""
-
-    spheres: FloatArray
-    first: NDArray[np.int64]
-    lever: FloatArray
-
-
-def _flatten(chain: KinematicChain, spheres: BodySpheres) -> _Flat:
-    order = np.argsort(spheres.link, kind="stable")
-    n = chain.n_joints
-    return _Flat(
-        spheres=np.column_stack([spheres.centre_m, spheres.radius_m])[order],
-        first=np.searchsorted(spheres.link[order], np.arange(n + 1)).astype(np.int64),
-        lever=lever_arms_m(chain, spheres)[:, order],
-    )
+        begin = max(begin_s, movement.start_s)
+        return curves(movement, begin, max(min(end, movement.end_s), begin))
 
 
 def lever_arms_m(chain: KinematicChain, spheres: BodySpheres) -> FloatArray:
@@ -254,7 +227,7 @@ def _between(times: FloatArray, piece: int, part: float) -> float:
 
 
 def _first_self(
-    clearance: SelfClearance, pieces: FloatArray, flat: _Flat, padding_m: float, resolution_m: float
+    clearance: SelfClearance, pieces: FloatArray, lever: FloatArray, padding_m: float, resolution_m: float
 ) -> tuple[int, float, float] | None:
     """Return piece, part and clearance of the first moment at which the arm is too close to itself.
 
@@ -268,7 +241,7 @@ def _first_self(
     while len(pieces):
         turns = np.abs(np.diff(pieces, axis=1)).sum(axis=1)
         # Two parts of the arm may approach each other, each by its own way.
-        way = 2.0 * (turns @ flat.lever).max(axis=1)
+        way = 2.0 * (turns @ lever).max(axis=1)
         doubtful = ~(0.5 * (left + right - way) >= padding_m)
         # Beyond a trouble that is certain nothing needs to be known; short stretches in doubt are one.
         certain = doubtful & (~(left >= padding_m) | (way <= resolution_m))
@@ -311,13 +284,6 @@ def curves(trajectory: TimedTrajectory, begin_s: float, end_s: float) -> tuple[F
         q1 - 0.4 * v1 + a1 / 20.0, q1 - v1 / 5.0, q1,
     ]  # fmt: skip
     return np.ascontiguousarray(np.stack(controls, axis=1)), times
-
-
-def lines(points: FloatArray) -> FloatArray:
-    """Return the pieces (N - 1, 6, D) of straight lines that join waypoints (N, D)."""
-    part = np.linspace(0.0, 1.0, 6)[None, :, None]
-    pieces: FloatArray = points[:-1, None] * (1.0 - part) + points[1:, None] * part
-    return pieces
 
 
 def place_on(piece: FloatArray, part: float) -> FloatArray:

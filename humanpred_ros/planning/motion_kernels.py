@@ -10,54 +10,53 @@ keeps at least (d0 + d1 - w) / 2 in between.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from humanpred_ros.geometry.chain_kernels import joint_frames
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.compiled import exact, exact_part
-from humanpred_ros.geometry.lattice_kernels import value_at
+from humanpred_ros.geometry.lattice_kernels import Lattice, value_at
 
 #: A piece is never halved more often: 2^-40 of a second moves nothing.
 _DEEPEST = 40
 
 
-@exact_part
-def clearances(
-    q: NDArray[Any],
-    parent: NDArray[Any],
-    table: NDArray[Any],
-    spheres: NDArray[Any],
-    first: NDArray[Any],
-    values: NDArray[Any],
-    origin: NDArray[Any],
-    cells_per_m: float,
-    frames: NDArray[Any],
-    out: NDArray[Any],
-) -> None:
-    """Write each sphere's distance to obstacles less its radius (S,) at q (D,).
+class SphereArm(NamedTuple):
+    """An arm of D joints and the S spheres that cover it, in the order of joints.
 
-    Args:
-        parent, table: of the arm's joints, as in `Joints`.
-        spheres: (S, 4) centre in the joint's frame and radius, in the order of joints.
+    Attributes:
+        parent, table: of the joints, as in `Joints`.
+        spheres: (S, 4) centre in the joint's frame and radius.
         first: (D + 1,) where each joint's spheres begin.
-        values, origin, cells_per_m: the distance field.
-        frames: (D + 1, 3, 4) room to work in.
+        lever: (D, S) distance of each sphere from each joint's axis, at most.
     """
-    joint_frames(q, parent, table, frames)
-    for j in range(len(table)):
+
+    parent: NDArray[np.int64]
+    table: FloatArray
+    spheres: FloatArray
+    first: NDArray[np.int64]
+    lever: FloatArray
+
+
+@exact_part
+def clearances(q: FloatArray, arm: SphereArm, field: Lattice, frames: FloatArray, out: FloatArray) -> None:
+    """Write each sphere's distance to obstacles less its radius (S,) at q (D,); frames (D + 1, 3, 4) to work in."""
+    joint_frames(q, arm.parent, arm.table, frames)
+    for j in range(len(arm.table)):
         A = frames[j + 1]
-        for k in range(first[j], first[j + 1]):
-            x, y, z = spheres[k, 0], spheres[k, 1], spheres[k, 2]
+        for k in range(arm.first[j], arm.first[j + 1]):
+            x, y, z = arm.spheres[k, 0], arm.spheres[k, 1], arm.spheres[k, 2]
             u = A[0, 0] * x + A[0, 1] * y + A[0, 2] * z + A[0, 3]
             v = A[1, 0] * x + A[1, 1] * y + A[1, 2] * z + A[1, 3]
             w = A[2, 0] * x + A[2, 1] * y + A[2, 2] * z + A[2, 3]
-            out[k] = value_at(u, v, w, values, origin, cells_per_m) - spheres[k, 3]
+            out[k] = value_at(u, v, w, field) - arm.spheres[k, 3]
 
 
 @exact_part
-def ways(piece: NDArray[Any], lever: NDArray[Any], out: NDArray[Any]) -> None:
+def ways(piece: FloatArray, lever: FloatArray, out: FloatArray) -> None:
     """Write how far each sphere can travel at most (S,) during a piece (6, D), given lever arms (D, S)."""
     for k in range(len(out)):
         out[k] = 0.0
@@ -70,7 +69,7 @@ def ways(piece: NDArray[Any], lever: NDArray[Any], out: NDArray[Any]) -> None:
 
 
 @exact_part
-def halve(piece: NDArray[Any], early: NDArray[Any], late: NDArray[Any]) -> None:
+def halve(piece: FloatArray, early: FloatArray, late: FloatArray) -> None:
     """Write the first and second half of a piece (6, D); `late` may be the piece itself."""
     for j in range(piece.shape[1]):
         c0, c1, c2, c3, c4, c5 = piece[0, j], piece[1, j], piece[2, j], piece[3, j], piece[4, j], piece[5, j]
@@ -88,23 +87,12 @@ def halve(piece: NDArray[Any], early: NDArray[Any], late: NDArray[Any]) -> None:
 
 @exact
 def search(
-    pieces: NDArray[Any],
-    parent: NDArray[Any],
-    table: NDArray[Any],
-    spheres: NDArray[Any],
-    first: NDArray[Any],
-    lever: NDArray[Any],
-    values: NDArray[Any],
-    origin: NDArray[Any],
-    cells_per_m: float,
-    padding: float,
-    resolution: float,
-    find_least: bool,
+    pieces: FloatArray, arm: SphereArm, field: Lattice, padding: float, resolution: float, find_least: bool
 ) -> tuple[int, float, int, float, float]:
     """Walk through pieces (K, 6, D) in order of time, halving where the padding is not proven.
 
     Args:
-        lever: (D, S) distance of each sphere from each joint's axis, at most.
+        field: distances to what is kept away from.
         padding: clearance wanted, m; with `find_least` the one to begin looking below.
         resolution: ways shorter than this are not halved, m.
         find_least: look for the least clearance instead of the first lack of it.
@@ -114,19 +102,19 @@ def search(
         that no sphere falls below. Without `find_least` the last is about the piece found alone.
     """
     n_pieces, _, n_joints = pieces.shape
-    n = len(spheres)
+    n = len(arm.spheres)
     stack = np.empty((_DEEPEST + 2, 6, n_joints))
     ends = np.empty((_DEEPEST + 2, n))
     until, depth = np.empty(_DEEPEST + 2), np.empty(_DEEPEST + 2, dtype=np.int64)
     left, way, frames = np.empty(n), np.empty(n), np.empty((n_joints + 1, 3, 4))
     found, at, which, least, floor = -1, 0.0, -1, padding, np.inf
-    clearances(pieces[0, 0], parent, table, spheres, first, values, origin, cells_per_m, frames, left)
+    clearances(pieces[0, 0], arm, field, frames, left)
     if find_least:
         # Knots first: a low clearance found early spares halving elsewhere.
         for p in range(n_pieces + 1):
             if p > 0:
                 here = pieces[p - 1, 5]
-                clearances(here, parent, table, spheres, first, values, origin, cells_per_m, frames, way)
+                clearances(here, arm, field, frames, way)
             else:
                 for k in range(n):
                     way[k] = left[k]
@@ -137,11 +125,11 @@ def search(
         for i in range(6):
             for j in range(n_joints):
                 stack[0, i, j] = pieces[p, i, j]
-        clearances(pieces[p, 5], parent, table, spheres, first, values, origin, cells_per_m, frames, ends[0])
+        clearances(pieces[p, 5], arm, field, frames, ends[0])
         until[0], depth[0], began, top = 1.0, 0, 0.0, 0
         while top >= 0:
             piece, right = stack[top], ends[top]
-            ways(piece, lever, way)
+            ways(piece, arm.lever, way)
             worst, low, longest = -1, np.inf, 0.0
             for k in range(n):
                 bound = 0.5 * (left[k] + right[k] - way[k])
@@ -164,7 +152,7 @@ def search(
             middle = 0.5 * (began + until[top])
             halve(piece, stack[top + 1], piece)
             here = stack[top + 1, 5]
-            clearances(here, parent, table, spheres, first, values, origin, cells_per_m, frames, ends[top + 1])
+            clearances(here, arm, field, frames, ends[top + 1])
             depth[top] += 1
             depth[top + 1], until[top + 1] = depth[top], middle
             top += 1

@@ -8,9 +8,7 @@ that the person is likely to sweep.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,11 +33,6 @@ _LOOK_S, _DEEPER_M = 0.02, 0.01
 _CLOSER_M, _LOOKS = 0.01, 9
 #: A voxel whose centre is exactly at the margin counts, whatever rounding says.
 _ROUNDING = 1e-9
-#: Interpolated distances exceed the true distance to cubes by at most this many voxels: in front of the corner
-#: of a single one. In front of faces they are exact (see the test).
-OVERSTATED_VOXELS = 0.5
-#: Distances are capped here; what is farther away need not be told apart, m.
-DEFAULT_CAP_M = 0.4
 
 
 class Person:
@@ -89,7 +82,7 @@ class Person:
         """Return why an arm should not rest at `q` (D,): the person is likely to come there. Empty if it may."""
         if self._likely is None:
             return ""
-        nearest = self._likely.nearest_on_path(np.atleast_2d(np.asarray(q, dtype=np.float64)))
+        nearest = self._likely.nearest(np.atleast_2d(q))
         if nearest.clearance_m >= self._config.min_separation_m:
             return ""
         return (
@@ -129,18 +122,11 @@ class Person:
 
     def likely_gap_m(self, q: FloatArray) -> FloatArray:
         """Return the distances (K,) of the arm at configurations (K, D) from where the person is likely to be."""
-        return self._gaps(self._likely, q)
+        return np.full(len(q), np.inf) if self._likely is None else self._likely.gaps_m(q)
 
     def certain_gap_m(self, q: FloatArray) -> FloatArray:
         """Return the distances (K,) of the arm at configurations (K, D) from where the person is for certain."""
-        return self._gaps(self._certain, q)
-
-    def _gaps(self, checker: MotionChecker | None, q: FloatArray) -> FloatArray:
-        if checker is None:
-            return np.full(len(q), np.inf)
-        gaps = checker.field.distance(checker.spheres.world_m(checker.chain, q)) - checker.spheres.radius_m
-        least: FloatArray = gaps.min(axis=1)
-        return least
+        return np.full(len(q), np.inf) if self._certain is None else self._certain.gaps_m(q)
 
     @cached_property
     def _certain(self) -> MotionChecker | None:
@@ -156,14 +142,10 @@ class Person:
             return None
         # `voxels_above` is exclusive, the configured probabilities are not.
         voxels = self.occupancy.voxels_above(float(np.nextafter(np.float32(probability), np.float32(0.0))))
-        distances = _distances(self.occupancy.grid, self._checker, max(_CAP_SEPARATIONS * separation, _LEAST_CAP_M))
-        return self._checker.against(distances.field(voxels), separation, "the person")
-
-
-@lru_cache(maxsize=4)
-def _distances(grid: VoxelGrid, checker: MotionChecker, cap_m: float) -> PersonDistance:
-    centre, radius = reach_m(checker.chain, checker.spheres)
-    return PersonDistance(grid, centre - radius, centre + radius, cap_m)
+        centre, radius = reach_m(self._checker.chain, self._checker.spheres)
+        cap_m = max(_CAP_SEPARATIONS * separation, _LEAST_CAP_M)
+        field = distance_to_voxels(self.occupancy.grid, voxels, centre - radius, centre + radius, cap_m)
+        return self._checker.against(field, separation, "the person")
 
 
 def widened(occupancy: Occupancy, margin_m: float) -> Occupancy:
@@ -202,7 +184,9 @@ def widened(occupancy: Occupancy, margin_m: float) -> Occupancy:
 
 
 @exact
-def _spread(probability: NDArray[Any], cells: NDArray[Any], offsets: NDArray[Any], wide: NDArray[Any]) -> None:
+def _spread(
+    probability: NDArray[np.float32], cells: NDArray[np.int64], offsets: NDArray[np.int64], wide: NDArray[np.float32]
+) -> None:
     nx, ny, nz = wide.shape
     for c in range(len(cells)):
         x, y, z = cells[c]
@@ -213,73 +197,59 @@ def _spread(probability: NDArray[Any], cells: NDArray[Any], offsets: NDArray[Any
                 wide[i, j, m] = p
 
 
-@dataclass(frozen=True)
-class PersonDistance:
-    """Makes distance fields of voxels of one grid, within a box, anew for every occupancy.
+def distance_to_voxels(
+    grid: VoxelGrid, flat: NDArray[np.int64], lower_m: ArrayLike, upper_m: ArrayLike, cap_m: float
+) -> SignedDistanceField:
+    """Return the distance to voxels, each a solid cube, within a box; made anew for every occupancy.
 
-    A voxel counts as a solid cube. Exact distances to cubes are separable: the squared gap to a cube is the sum of
-    three squared gaps along the axes, so three passes of minima along lines give them at all voxel centres. Only
-    distances up to a cap are wanted, and only where the arm can be, which keeps it to a millisecond or two.
+    Exact distances to cubes are separable: the squared gap to a cube is the sum of three squared gaps along the axes,
+    so three passes of minima along lines give them at all voxel centres. Only distances up to a cap are wanted, and
+    only where the arm can be, which keeps it to a millisecond or two.
 
-    Attributes:
+    Args:
         grid: the lattice of the occupancy.
+        flat: (M,) flat indices of the voxels, as of `Occupancy.voxels_above`.
         lower_m, upper_m: (3,) box that holds every point asked for (the arm's reach), world frame. Points
             outside the box may get too large distances; points outside the grid do not.
         cap_m: larger distances are reported as this.
 
+    Returns:
+        Distances at voxel centres, exact outside the cubes and up to the cap; inside they are minus half a voxel
+        however deep. Interpolated between, they are exact in front of faces, and at most half a voxel too large in
+        front of the corner of a single cube.
+
     Raises:
-        PlanningError: for a box that is empty or does not meet the grid, or a cap that is not positive.
+        PlanningError: for a box that is empty or does not meet the grid, a cap that is not positive, or indices
+            outside the grid.
     """
-
-    grid: VoxelGrid
-    lower_m: FloatArray
-    upper_m: FloatArray
-    cap_m: float = DEFAULT_CAP_M
-
-    def __post_init__(self) -> None:
-        lower = checked("person distance: lower corner", self.lower_m, (3,), error=PlanningError)
-        upper = checked("person distance: upper corner", self.upper_m, (3,), error=PlanningError)
-        if not (self.cap_m > 0.0 and np.isfinite(self.cap_m)):
-            raise PlanningError(f"person distance: wanted a cap > 0 m, got {self.cap_m}")
-        # Nodes are voxel centres; one beyond the box on each side, so that it lies between them.
-        shape = np.array(self.grid.shape)
-        first = np.floor((lower - self.grid.origin_m) / self.grid.resolution_m - 0.5).astype(np.int64)
-        last = np.ceil((upper - self.grid.origin_m) / self.grid.resolution_m - 0.5).astype(np.int64)
-        first, last = np.clip(first, 0, shape - 1), np.clip(last, 0, shape - 1)
-        if not (upper > lower).all() or (last - first < 1).any():
-            raise PlanningError(
-                f"person distance: wanted a box that overlaps the grid by two voxels or more, got {lower} to {upper} "
-                f"in a grid from {self.grid.origin_m} of {self.grid.shape} voxels of {self.grid.resolution_m} m"
-            )
-        object.__setattr__(self, "_first", first)
-        object.__setattr__(self, "_last", last)
-
-    def field(self, flat: NDArray[np.int64]) -> SignedDistanceField:
-        """Return the distance to the cubes of voxels given by flat index (M,), as of `Occupancy.voxels_above`.
-
-        Exact at voxel centres outside the cubes and up to the cap; inside it is minus half a voxel however deep.
-
-        Raises:
-            PlanningError: for indices outside the grid.
-        """
-        flat = np.asarray(flat, dtype=np.int64).ravel()
-        if len(flat) and (flat.min() < 0 or flat.max() >= self.grid.size):
-            raise PlanningError(
-                f"person distance: wanted voxels 0 to {self.grid.size - 1}, got {flat.min()} to {flat.max()}"
-            )
-        first: NDArray[np.int64] = self._first  # type: ignore[attr-defined]
-        last: NDArray[np.int64] = self._last  # type: ignore[attr-defined]
-        h = self.grid.resolution_m
-        reach = int(np.ceil(self.cap_m / h + 0.5))
-        cells = _capped(flat, np.array(self.grid.shape, dtype=np.int64), first, last, reach, np.float32(self.cap_m / h))
-        origin = np.asarray(self.grid.origin_m) + (first + 0.5) * h
-        return SignedDistanceField(origin, h, cells * np.float32(h))
+    lower = checked("person distance: lower corner", lower_m, (3,), error=PlanningError)
+    upper = checked("person distance: upper corner", upper_m, (3,), error=PlanningError)
+    h, shape, origin = grid.resolution_m, np.array(grid.shape), np.asarray(grid.origin_m)
+    if not (cap_m > 0.0 and np.isfinite(cap_m)):
+        raise PlanningError(f"person distance: wanted a cap > 0 m, got {cap_m}")
+    # Nodes are voxel centres; one beyond the box on each side, so that it lies between them.
+    first = np.clip(np.floor((lower - origin) / h - 0.5).astype(np.int64), 0, shape - 1)
+    last = np.clip(np.ceil((upper - origin) / h - 0.5).astype(np.int64), 0, shape - 1)
+    if not (upper > lower).all() or (last - first < 1).any():
+        raise PlanningError(
+            f"person distance: wanted a box that overlaps the grid by two voxels or more, got {lower} to {upper} "
+            f"in a grid from {grid.origin_m} of {grid.shape} voxels of {h} m"
+        )
+    if len(flat) and (flat.min() < 0 or flat.max() >= grid.size):
+        raise PlanningError(f"person distance: wanted voxels 0 to {grid.size - 1}, got {flat.min()} to {flat.max()}")
+    cells = _capped(flat, shape, first, last, int(np.ceil(cap_m / h + 0.5)), np.float32(cap_m / h))
+    return SignedDistanceField(origin + (first + 0.5) * h, h, cells * np.float32(h))
 
 
 @exact
 def _capped(
-    flat: NDArray[Any], shape: NDArray[Any], first: NDArray[Any], last: NDArray[Any], reach: int, cap: Any
-) -> NDArray[Any]:
+    flat: NDArray[np.int64],
+    shape: NDArray[np.int64],
+    first: NDArray[np.int64],
+    last: NDArray[np.int64],
+    reach: int,
+    cap: np.float32,
+) -> NDArray[np.float32]:
     """Return distances in voxels at nodes `first` to `last`; marks more than `reach` away are left out."""
     nx, ny, nz = last[0] - first[0] + 1, last[1] - first[1] + 1, last[2] - first[2] + 1
     far = np.float32(cap * cap)
@@ -336,13 +306,13 @@ def _capped(
 
 
 @exact_part
-def _fill(line: NDArray[Any], value: Any) -> None:
+def _fill(line: NDArray[np.float32], value: np.float32) -> None:
     for k in range(len(line)):
         line[k] = value
 
 
 @exact_part
-def _lower(target: NDArray[Any], source: NDArray[Any], by: Any) -> None:
+def _lower(target: NDArray[np.float32], source: NDArray[np.float32], by: np.float32) -> None:
     for k in range(len(target)):
         value = source[k] + by
         target[k] = value if value < target[k] else target[k]

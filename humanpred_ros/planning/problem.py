@@ -6,12 +6,14 @@ import logging
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from humanpred_ros import plugins
 from humanpred_ros.errors import GoalUnreachableError, PlanningError
-from humanpred_ros.geometry.chain import reach_m
+from humanpred_ros.geometry.chain import BodyPoints, BodySpheres, KinematicChain, reach_m
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
@@ -22,7 +24,6 @@ from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.planning.stopping import brake_along
 from humanpred_ros.planning.time_parameterisation import time_parameterise
 from humanpred_ros.planning.trajectory import TimedTrajectory
-from humanpred_ros.robot.arm import Arm
 from humanpred_ros.robot.goals import Goal
 from humanpred_ros.settings import Settings
 from humanpred_ros.stomp.arm_loop import COMPILED_TERMS
@@ -36,6 +37,28 @@ _SLACK_M, _SLACK_RAD = 0.005, 0.005
 _LIMIT_TOLERANCE_RAD = 1e-6
 
 _log = logging.getLogger(__name__)
+
+
+class Arm(Protocol):
+    """What planning needs of a robot's arm of D joints that stands somewhere, such as `robot.pr2.Pr2Arm`.
+
+    Attributes:
+        chain: its kinematics.
+    """
+
+    chain: KinematicChain
+
+    def body_points(self) -> BodyPoints:
+        """Return points on its surface, which the human occupancy is summed over."""
+
+    def spheres(self) -> BodySpheres:
+        """Return spheres that cover what must keep clear."""
+
+    def difference(self, q_from: ArrayLike, q_to: ArrayLike) -> FloatArray:
+        """Return the shortest change (..., D) from one configuration to another."""
+
+    def configuration_distance(self, a: ArrayLike, b: ArrayLike) -> FloatArray:
+        """Return how far apart configurations are, (...), in the weighted distance of P1."""
 
 
 class Problem:
@@ -155,7 +178,7 @@ class Problem:
         """Return the configurations (K, D) of a goal that the arm can rest at."""
         usable, reasons = [], []
         for q in checked(f"goal {goal.name}", goal.configurations, ("K", self.chain.n_joints), error=PlanningError):
-            trouble = self.outside_limits(q) or self.checker.first_trouble_on_path(q[None])
+            trouble = self.outside_limits(q) or self.checker.first_trouble(q[None])
             if trouble:
                 reasons.append(str(trouble))
             else:

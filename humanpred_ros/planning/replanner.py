@@ -26,16 +26,14 @@ from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.planning.candidates import Candidate, plan_to_goals, ranked, report_at_goal
-from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, MISSED, REPLAN, Decision
+from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, MISSED, REPLAN, Decision, State
 from humanpred_ros.planning.motion_check import SelfClearance
 from humanpred_ros.planning.person import Person
-from humanpred_ros.planning.problem import Problem
+from humanpred_ros.planning.problem import Arm, Problem
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.step import State, Step
+from humanpred_ros.planning.step import Candidate, Step
 from humanpred_ros.planning.trajectory import Schedule
 from humanpred_ros.planning.waiting import wait
-from humanpred_ros.robot.arm import Arm
 from humanpred_ros.robot.contacts import SelfCollision
 from humanpred_ros.robot.goals import Goal
 from humanpred_ros.robot.scene import Scene
@@ -296,21 +294,21 @@ def _decide(step: Step) -> Decision:
         if not leave:
             arriving = step.executing.end_s > step.stamp_s
             action, reason = (KEEP, f"about to arrive at {chosen}") if arriving else (ARRIVED, f"at {chosen}")
-            return step.decision(action, reason, chosen, reports=(report_at_goal(step, chosen),))
-    candidates = plan_to_goals(step)  # line 5
-    considered = [candidate.report for candidate in candidates if not candidate.report.set_aside]
+            return step.decision(action, reason, chosen, reports=(step.report_at_goal(chosen),))
+    step.plan_to_goals()  # line 5
+    considered = [candidate.report for candidate in step.candidates if not candidate.report.set_aside]
     if considered and all(report.iterations == 0 for report in considered) and step.late:
         return wait(step, "the deadline left no time for a single update")
-    for candidate in ranked(step):  # line 6
+    for candidate in step.ranked():  # line 6
         trajectory = step.executing if candidate.executing else step.timed(candidate.report.path)
         trouble = step.trouble(trajectory)
         if trouble:
-            candidate.refuse(trouble)
+            candidate.report = replace(candidate.report, set_aside=trouble)
         elif candidate.executing:
             return step.decision(KEEP, "no better path than the one being executed", candidate.name)
         else:
             return step.decision(REPLAN, _why(step, candidate, leave), candidate.name, trajectory)
-    refused = "; ".join(f"{candidate.name}: {candidate.report.obstacle_to_choice}" for candidate in candidates)
+    refused = "; ".join(f"{candidate.name}: {candidate.report.obstacle_to_choice}" for candidate in step.candidates)
     return wait(step, f"no path can be executed ({refused})")
 
 

@@ -1,110 +1,60 @@
-"""What a replanning step starts from: the state that is carried from step to step, and the moment of the step."""
+"""One replanning step: a path to every goal, as good as the time allows (P1 Alg. 1, line 5), and their order (line 6).
+
+A goal may be set aside for a step, always with a reason: because the person is likely to come to where the arm
+would rest, or because after a few updates another goal is far cheaper. Every step looks at all of them anew, so
+a goal comes back as soon as the reason has gone.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.planning.decision import HOLD, REPLAN, Decision, GoalReport
+from humanpred_ros.planning.decision import Decision, GoalReport, State
+from humanpred_ros.planning.path import path_integral, path_parameter, reconnect, resampled, straight
 from humanpred_ros.planning.person import Person
 from humanpred_ros.planning.problem import Problem
-from humanpred_ros.planning.trajectory import Schedule, TimedTrajectory
+from humanpred_ros.planning.trajectory import TimedTrajectory
+from humanpred_ros.stomp.costs import BoolArray, as_batch
+from humanpred_ros.stomp.planner import Plan, StompRun, advance_all
 
-if TYPE_CHECKING:
-    from humanpred_ros.planning.candidates import Candidate
-
-#: Stamps count as due this much early, s: they are whole nanoseconds, periods are not.
-_DUE_TOLERANCE_S = 1e-6
+#: Configurations the rest of a trajectory is first read at, before it is spaced evenly.
+_REREAD = 300
 
 
 @dataclass
-class State:
-    """All that changes while the robot works.
+class Candidate:
+    """The path to one goal in one step.
 
     Attributes:
-        period_s: of replanning steps.
-        schedule: what the robot executes when.
-        goals: configurations (K, D) of each goal, continuous joints unwrapped from where the robot started.
-        last_stamp_s: of the newest step.
-        last_due_s: of the newest step that was due.
-        step: number of the next step.
-        paths: path (N, D) to each goal found by the last step; empty before the first.
-        set_aside: goals that the last step did not consider, with the reason.
-        left: how often each goal has been given up for another.
-        chosen: goal being worked on; None before the first choice.
-        leads_to: goal that the trajectory being executed ends at; None while stopping or moving aside.
-        held: why the robot has been stopped; empty while it has not.
-        urgent: whether any occupancy calls for a step, after an emergency stop.
+        name: the goal's.
+        alternative: which of the goal's configurations the path leads to.
+        initial: (N, D) path that STOMP begins with.
+        warm_start, set_aside: as in `GoalReport`.
+        run: the plan being made; None for a goal that is set aside from the beginning.
+        report: on the best path found.
+        executing: whether that path is the very one being executed.
     """
 
-    period_s: float
-    schedule: Schedule
-    goals: Mapping[str, FloatArray]
-    last_stamp_s: float
-    last_due_s: float
-    step: int = 1
-    paths: dict[str, FloatArray] = field(default_factory=dict)
-    set_aside: dict[str, str] = field(default_factory=dict)
-    left: dict[str, int] = field(default_factory=dict)
-    chosen: str | None = None
-    leads_to: str | None = None
-    held: str = ""
-    urgent: bool = False
-
-    def due(self, t_s: float) -> bool:
-        """Return whether an occupancy stamped `t_s` calls for a step."""
-        return self.urgent or self._on_time(t_s)
-
-    def at_goal(self, t_s: float) -> bool:
-        """Return whether the robot will rest at the chosen goal at `t_s`."""
-        if self.chosen is None or self.held:
-            return False
-        executing = self.schedule.at(t_s)
-        return executing.end_s <= t_s and bool((executing.q[-1] == self.goals[self.chosen]).all(axis=1).any())
-
-    def take(self, decision: Decision) -> None:
-        """Go on as a step has decided."""
-        if decision.trajectory is not None:
-            self.schedule.add(decision.t_switch_s, decision.trajectory)
-        if decision.trajectory is not None or decision.action == HOLD:
-            self.leads_to = decision.chosen if decision.action == REPLAN else None
-        self.held = decision.reason if decision.action == HOLD else ""
-        self.paths.update({report.name: report.path for report in decision.goals})
-        self.set_aside = {report.name: report.set_aside for report in decision.goals if report.set_aside}
-        if decision.switched and decision.previous is not None:
-            self.left[decision.previous] = self.left.get(decision.previous, 0) + 1
-        self.chosen = decision.chosen
-        self.count(decision.stamp_s)
-
-    def count(self, stamp_s: float) -> None:
-        """Note a step; those between two due ones, for a motion that has become bad, do not put the next one off."""
-        self.step += 1
-        self.last_stamp_s = stamp_s
-        self.urgent = False
-        if self._on_time(stamp_s):
-            self.last_due_s = stamp_s
-
-    def stop(self, decision: Decision) -> None:
-        """Note a hold, which needs no commitment."""
-        if decision.trajectory is not None:
-            self.schedule.add(decision.t_switch_s, decision.trajectory)
-            self.step += 1
-        self.held, self.leads_to = decision.reason, None
-        self.urgent = True
-
-    def _on_time(self, t_s: float) -> bool:
-        return t_s >= self.last_due_s + self.period_s - _DUE_TOLERANCE_S
+    name: str
+    alternative: int
+    initial: FloatArray
+    warm_start: str
+    set_aside: str = ""
+    run: StompRun | None = None
+    report: GoalReport = field(init=False)
+    executing: bool = False
 
 
 class Step:
     """One step being made; it changes nothing of the state.
 
     Attributes:
-        problem, state, person: the arm and its goals, what the step starts from, and the person now.
+        problem, config, state, person: the arm and its goals, settings, what the step starts from, and the person now.
         stamp_s, t_switch_s: stamp of the occupancy; when the step's trajectory takes over, one period later.
         executing: the trajectory being executed at the switch if nothing changes.
         q, v, a: (D,) position, velocity and acceleration at the switch.
@@ -122,7 +72,7 @@ class Step:
         noise_std: ArrayLike | None = None,
         deadline: Callable[[], bool] | None = None,
     ) -> None:
-        self.problem, self.state, self.person = problem, state, person
+        self.problem, self.config, self.state, self.person = problem, problem.config, state, person
         self.noise_std, self.deadline = noise_std, deadline
         self.stamp_s = person.occupancy.t_s
         self.t_switch_s = self.stamp_s + problem.config.period_s
@@ -174,4 +124,150 @@ class Step:
             goals=tuple(candidate.report for candidate in self.candidates) if reports is None else reports,
             t_switch_s=float("nan") if trajectory is None else self.t_switch_s,
             trajectory=trajectory,
+        )
+
+    def plan_to_goals(self) -> None:
+        """Plan to every goal from where the robot will be at the switch.
+
+        Every goal draws from a generator of its own, so that neither threads nor other goals change a path.
+        """
+        cfg, goals = self.config, self.state.goals
+        seeds = np.random.SeedSequence((cfg.seed, self.state.step)).spawn(len(goals))
+        self.candidates = [self._first_path(name) for name in goals]
+        for candidate, seed in zip(self.candidates, seeds, strict=True):
+            if not candidate.set_aside:
+                candidate.run = self.planner.begin(candidate.initial, np.random.default_rng(seed), self.noise_std)
+        n = cfg.stomp.iterations
+        first = cfg.prune_after if 0 < cfg.prune_after < n and len(goals) > 1 else n
+        self._advance(first)
+        if first < n:
+            self._set_expensive_goals_aside()
+            self._advance(n - first)
+        for candidate in self.candidates:
+            self._finish(candidate)
+
+    def ranked(self) -> list[Candidate]:
+        """Return the candidates that may be executed, best first.
+
+        The goal being worked on goes before goals that are not clearly cheaper. A goal that has been left before must
+        be cheaper by more and more.
+        """
+        cfg, state = self.config, self.state
+        order = [candidate for candidate in self.candidates if candidate.report.eligible]
+        order.sort(key=lambda candidate: candidate.report.selection_cost)
+        present = next((candidate for candidate in order if candidate.name == state.chosen), None)
+        if present is None:
+            return order
+        beaten = (1.0 - cfg.switch_improvement) * present.report.selection_cost
+
+        def clearly_cheaper(other: Candidate) -> bool:
+            margin = cfg.switch_cost * (1 + state.left.get(other.name, 0))
+            return other.report.selection_cost < beaten - margin
+
+        before = [candidate for candidate in order[: order.index(present)] if clearly_cheaper(candidate)]
+        return before + [present] + [c for c in order if c is not present and c not in before]
+
+    def report_at_goal(self, name: str) -> GoalReport:
+        """Return the report of a goal that the robot rests at."""
+        path = np.repeat(self.q[None], self.config.stomp.waypoints, axis=0)
+        at = int(np.argmin(np.abs(self.state.goals[name] - self.q).max(axis=1)))
+        return self._report(Candidate(name, at, path, "arrived"), self.planner.assess(path))
+
+    def _advance(self, iterations: int) -> None:
+        runs = [c.run for c in self.candidates if c.run is not None and not c.set_aside]
+        advance_all(runs, iterations, self.problem.pool, self.config.threads, self.deadline)
+
+    def _set_expensive_goals_aside(self) -> None:
+        """Set aside the goals that cost far more than the cheapest allowed one, so that the others get their time."""
+        running = [(c, self._report(c, c.run.result())) for c in self.candidates if c.run is not None]
+        allowed = [report for _, report in running if report.valid]
+        if not allowed:
+            return
+        best = min(allowed, key=lambda report: report.selection_cost)
+        for candidate, report in running:
+            if report.selection_cost > self.config.prune_factor * best.selection_cost + self.config.prune_cost:
+                candidate.set_aside = (
+                    f"far too expensive: costs {report.selection_cost:.3g} after {report.iterations} updates, "
+                    f"{best.name} {best.selection_cost:.3g}"
+                )
+
+    def _first_path(self, name: str) -> Candidate:
+        """Return a goal with the path that STOMP begins with: what is executed, the last step's path, or a line."""
+        cfg, state, weights = self.config, self.state, self.problem.weights
+        n, configurations = cfg.stomp.waypoints, state.goals[name]
+        reasons = [self.person.rest_conflict(q) for q in configurations]
+        if name == state.leads_to:
+            at = int(np.argmin(np.abs(configurations - self.executing.q[-1]).max(axis=1)))
+            if not reasons[at]:
+                end_s = self.executing.end_s
+                rest = self.executing.sample(np.linspace(min(self.t_switch_s, end_s), end_s, _REREAD))[0]
+                return Candidate(name, at, resampled(rest, n, weights), "executing")
+        at = self._alternative(name, reasons)
+        goal, before = configurations[at], state.paths.get(name)
+        if before is None or not np.array_equal(before[-1], goal):
+            return Candidate(name, at, straight(self.q, goal, n), "straight", reasons[at])
+        terms, human = self.planner.terms, self.human
+        old = reconnect(self.q, before, terms, human, weights, cfg.reconnect_step, n, cfg.length_weight)
+        return Candidate(name, at, old.path, old.kind, reasons[at])
+
+    def _alternative(self, name: str, reasons: list[str]) -> int:
+        """Return which configuration of a goal to plan to: the one that straight lines say is the cheapest.
+
+        One that the person comes to ranks behind all others; the one planned to before goes first among equals.
+        """
+        configurations = self.state.goals[name]
+        if len(configurations) == 1:
+            return 0
+        cfg, weights = self.config, self.problem.weights
+        lines = np.stack([straight(self.q, goal, cfg.stomp.waypoints) for goal in configurations])
+        human = self.human.evaluate(as_batch(lines))[0].astype(np.float64)
+        free: BoolArray = np.all(self.problem.obstacles.valid(lines), axis=1)
+        before = self.state.paths.get(name)
+        ranks = []
+        for k, line in enumerate(lines):
+            cost = float(path_integral(human[k], line, weights)) + cfg.rest_weight * float(human[k, -1])
+            cost += cfg.length_weight * float(path_parameter(line, weights)[-1])
+            if before is not None and np.array_equal(before[-1], configurations[k]):
+                cost *= 1.0 - cfg.switch_improvement
+            ranks.append((bool(reasons[k]), not bool(free[k]), cost, k))
+        return min(ranks)[-1]
+
+    def _finish(self, candidate: Candidate) -> None:
+        """Report on the best path; on the one being executed unless the best one is clearly better."""
+        if candidate.run is None:
+            candidate.report = self._report(candidate, self.planner.assess(candidate.initial))
+            return
+        candidate.report = report = self._report(candidate, candidate.run.result())
+        if candidate.warm_start != "executing":
+            return
+        # The robot is on its way: a path that is hardly better is not worth a change of its movement.
+        rest = self._report(candidate, self.planner.assess(candidate.initial, report.iterations))
+        better = report.selection_cost < (1.0 - self.config.min_improvement) * rest.selection_cost
+        if not (report.valid and (better or not rest.valid)):
+            candidate.report, candidate.executing = rest, True
+
+    def _report(self, candidate: Candidate, plan: Plan) -> GoalReport:
+        cfg, weights, name = self.config, self.problem.weights, candidate.name
+        values = self.human.evaluate(as_batch(plan.waypoints[None]))[0][0].astype(np.float64)
+        human = float(path_integral(values, plan.waypoints, weights))
+        length = float(path_parameter(plan.waypoints, weights)[-1])
+        rest, task_cost = float(values[-1]), self.problem.task_costs[name]
+        disturbance = human + cfg.length_weight * length + cfg.rest_weight * rest
+        return GoalReport(
+            name=name,
+            cost=plan.cost,
+            total=plan.total,
+            human=human,
+            length=length,
+            selection_cost=(plan.total if cfg.selection == "total" else disturbance) + task_cost,
+            path=plan.waypoints,
+            valid=plan.valid,
+            reason=plan.reason,
+            iterations=plan.iterations,
+            warm_start=candidate.warm_start,
+            rest=rest,
+            task_cost=task_cost,
+            alternative=candidate.alternative,
+            set_aside=candidate.set_aside,
+            revived=not candidate.set_aside and name in self.state.set_aside,
         )

@@ -6,21 +6,29 @@ both zero; a joint that is speeding up levels off first.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.compiled import exact, exact_part
-from humanpred_ros.planning.speed_profile import braking
+from humanpred_ros.planning.path_following import braking
 from humanpred_ros.planning.trajectory import LIMIT_TOLERANCE, TimedTrajectory, at_rest
 
 #: Time in which a joint that is speeding up stops doing so, s.
 _LEVEL_OFF_S = 0.05
 #: Stopping times tried per joint; the longest is some three times what braking at the limit takes.
 _TIMES = 200
+#: Time step of braking along a trajectory, s, and how long its deceleration takes to build up, in steps.
+_STEP_S = 0.004
+_SMOOTHING_STEPS = 15
+#: Shares of the limit a stop plans with, in turn: what a joint does between two knots is interpolated, which
+#: takes a little more where it comes to rest or stops speeding up there.
+_USED = (0.95, 0.9, 0.8, 0.7)
+#: Shares of the acceleration limit tried in turn: averaging the deceleration can exceed what was planned.
+_SHARES = (0.95, 0.8, 0.65, 0.5, 0.35)
+#: Moments at which the use of limits is looked at, per knot: its own and those between it and the next.
+MOMENTS = 8
 
 
 class ComingToRest:
@@ -49,27 +57,18 @@ class ComingToRest:
         self.duration_s = float((self._first + self._then).max())
         self.way: FloatArray = self.at(np.array([self.duration_s]))[0][0]
 
-    def at(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the way made, velocity and acceleration (T, D) at times (T,) >= 0; at rest after the end."""
-        q, v, a = np.zeros((3, len(t_s), len(self._v0)))
-        _fade(t_s, self._v0, self._a0, self._first, self._v1, self._a1, self._then, q, v, a)
-        return q, v, a
+    def at(self, t_s: FloatArray) -> FloatArray:
+        """Return the way made, velocity and acceleration (3, T, D) at times (T,) >= 0; at rest after the end."""
+        found: FloatArray = _fade(t_s, self._v0, self._a0, self._first, self._v1, self._a1, self._then)
+        return found
 
 
 @exact
 def _fade(
-    t_s: NDArray[Any],
-    v0: NDArray[Any],
-    a0: NDArray[Any],
-    first: NDArray[Any],
-    v1: NDArray[Any],
-    a1: NDArray[Any],
-    then: NDArray[Any],
-    q: NDArray[Any],
-    v: NDArray[Any],
-    a: NDArray[Any],
-) -> None:
-    """Write way, velocity and acceleration (T, D): levelling off for `first` seconds, coming down for `then`."""
+    t_s: FloatArray, v0: FloatArray, a0: FloatArray, first: FloatArray, v1: FloatArray, a1: FloatArray, then: FloatArray
+) -> FloatArray:
+    """Return way, velocity, acceleration (3, T, D): levelling off for `first` seconds, coming down for `then`."""
+    out = np.empty((3, len(t_s), len(v0)))
     for j in range(len(v0)):
         for i in range(len(t_s)):
             t = t_s[i]
@@ -90,7 +89,8 @@ def _fade(
                 way += lasts**2 * a1[j] * u**2 * (0.5 - 2.0 / 3.0 * u + 0.25 * u**2)
                 speed = w**2 * ((1.0 + 2.0 * u) * v1[j] + u * lasts * a1[j])
                 change = -6.0 * u * w * v1[j] / lasts + w * (1.0 - 3.0 * u) * a1[j]
-            q[i, j], v[i, j], a[i, j] = way, speed, change
+            out[0, i, j], out[1, i, j], out[2, i, j] = way, speed, change
+    return out
 
 
 @exact_part
@@ -111,8 +111,8 @@ def _excess(v0: float, a0: float, lasts: float, v_limit: float, a_limit: float) 
 
 @exact
 def _stop_times(
-    v0: NDArray[Any], a0: NDArray[Any], v_limit: NDArray[Any], a_limit: NDArray[Any], shortest: float
-) -> NDArray[Any]:
+    v0: FloatArray, a0: FloatArray, v_limit: FloatArray, a_limit: FloatArray, shortest: float
+) -> FloatArray:
     """Return each joint's stopping time (D,): the shortest within the limits, or the one that exceeds them least."""
     times = np.zeros(len(v0))
     for j in range(len(v0)):
@@ -128,16 +128,6 @@ def _stop_times(
             if over <= 1.0 + 1e-9:
                 break
     return times
-
-
-#: Time step of braking along a trajectory, s, and how long its deceleration takes to build up, in steps.
-_STEP_S = 0.004
-_SMOOTHING_STEPS = 15
-#: Shares of the limit a stop plans with, in turn: what a joint does between two knots is interpolated, which
-#: takes a little more where it comes to rest or stops speeding up there.
-_USED = (0.95, 0.9, 0.8, 0.7)
-#: Shares of the acceleration limit tried in turn: averaging the deceleration can exceed what was planned.
-_SHARES = (0.95, 0.8, 0.65, 0.5, 0.35)
 
 
 def stop_trajectory(
@@ -176,21 +166,20 @@ def stop_trajectory(
         return at_rest(q0, start_s)
     allowed_v, allowed_a = np.maximum(v_limit, np.abs(v0)), np.maximum(a_limit, np.abs(a0))
     for used in _USED:
-        stop = _stop(q0, ComingToRest(v0, a0, v_limit, used * a_limit), v0, a0, sample_period_s, start_s)
+        fading = ComingToRest(v0, a0, v_limit, used * a_limit)
+        t = np.linspace(0.0, fading.duration_s, n_knots(fading.duration_s, sample_period_s))
+        way, velocity, acceleration = fading.at(t)
+        velocity[0], acceleration[0] = v0, a0
+        velocity[-1] = acceleration[-1] = 0.0
+        stop = TimedTrajectory(t + start_s, q0 + way, velocity, acceleration)
         if limit_use(stop, allowed_v, allowed_a).max() <= 1.0 + LIMIT_TOLERANCE / 2.0:
             break
     return stop
 
 
-def _stop(
-    q0: FloatArray, fading: ComingToRest, v0: FloatArray, a0: FloatArray, sample_period_s: float, start_s: float
-) -> TimedTrajectory:
-    n_knots = max(2, int(np.ceil(fading.duration_s / sample_period_s - 1e-9)) + 1)
-    t = np.linspace(0.0, fading.duration_s, n_knots)
-    way, velocity, acceleration = fading.at(t)
-    velocity[0], acceleration[0] = v0, a0
-    velocity[-1] = acceleration[-1] = 0.0
-    return TimedTrajectory(t + start_s, q0 + way, velocity, acceleration)
+def n_knots(duration_s: float, period_s: float) -> int:
+    """Return how many knots, at least two and at most a period apart, a movement takes."""
+    return max(2, int(np.ceil(duration_s / period_s - 1e-9)) + 1)
 
 
 def brake_along(
@@ -217,32 +206,27 @@ def brake_along(
         return at_rest(q0, t_s)
     # What the trajectory does already is allowed; and it is never run through faster.
     any_v, allowed_a = np.full(q0.shape, np.inf), np.maximum(a_limit, np.abs(a0))
+    nodes = np.arange(int(np.ceil((trajectory.end_s - t_s) / _STEP_S)) + 1, dtype=np.float64) * _STEP_S
+    _, v, a = trajectory.sample(t_s + nodes)
     for share in _SHARES:
-        stop = _slowed(trajectory, t_s, share * a_limit, sample_period_s)
+        x = braking(v, a, np.maximum(share * a_limit, np.abs(a)), _STEP_S)
+        t, tau, rate, change = _smoothed(nodes, np.sqrt(x), max(1, int(sample_period_s / _STEP_S)))
+        q, velocity, acceleration = trajectory.sample(t_s + tau)
+        acceleration = velocity * change[:, None] + acceleration * rate[:, None] ** 2
+        velocity = velocity * rate[:, None]
+        q[0], velocity[0], acceleration[0] = q0, v0, a0
+        velocity[-1] = acceleration[-1] = 0.0
+        stop = TimedTrajectory(t_s + t, q, velocity, acceleration)
         if limit_use(stop, any_v, allowed_a).max() <= 1.0 + LIMIT_TOLERANCE / 2.0:
             return stop
     return stop_trajectory(q0, v0, a0, a_limit, np.inf, sample_period_s, t_s)
 
 
-def _slowed(trajectory: TimedTrajectory, t_s: float, a_limit: FloatArray, sample_period_s: float) -> TimedTrajectory:
-    """Run through the rest of a trajectory ever more slowly, as fast as `a_limit` allows."""
-    q0, v0, a0 = trajectory.sample(t_s)
-    nodes: FloatArray = np.arange(int(np.ceil((trajectory.end_s - t_s) / _STEP_S)) + 1, dtype=np.float64) * _STEP_S
-    _, v, a = trajectory.sample(t_s + nodes)
-    x: FloatArray = braking(v, a, np.maximum(a_limit, np.abs(a)), _STEP_S)
-    t, tau, rate, acceleration = _smoothed(nodes, np.asarray(np.sqrt(x), dtype=np.float64))
-    keep = np.unique(np.append(np.arange(0, len(t), max(1, int(sample_period_s / _STEP_S))), len(t) - 1))
-    t, tau, rate, acceleration = t[keep], tau[keep], rate[keep], acceleration[keep]
-    q, v, a = trajectory.sample(t_s + tau)
-    velocity = v * rate[:, None]
-    acceleration = v * acceleration[:, None] + a * rate[:, None] ** 2
-    q[0], velocity[0], acceleration[0] = q0, v0, a0
-    velocity[-1] = acceleration[-1] = 0.0
-    return TimedTrajectory(t_s + t, q, velocity, acceleration)
+def _smoothed(tau: FloatArray, rate: FloatArray, every: int) -> tuple[FloatArray, ...]:
+    """Return t, tau(t), tau'(t), tau''(t) at every so many steps and the end, the rate averaged over time.
 
-
-def _smoothed(tau: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return t, tau(t), tau'(t), tau''(t) with the rate averaged over time, so that it does not jump."""
+    Without averaging the rate would jump.
+    """
     end = int(np.argmax(rate <= 1e-9)) if (rate <= 1e-9).any() else len(rate) - 1
     step = 2.0 * np.diff(tau[: end + 1]) / np.maximum(rate[1 : end + 1] + rate[:end], 1e-6)
     at = np.concatenate([[0.0], np.cumsum(step)])
@@ -255,11 +239,8 @@ def _smoothed(tau: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray
     acceleration = (raw - padded[: len(raw)]) / (_SMOOTHING_STEPS * _STEP_S)
     travelled = np.concatenate([[0.0], np.cumsum(0.5 * (smooth[1:] + smooth[:-1]) * _STEP_S)])
     smooth[-1] = 0.0
-    return t, np.minimum(travelled, tau[-1]), smooth, acceleration
-
-
-#: Moments looked at per knot: its own and those between it and the next.
-MOMENTS = 8
+    keep = np.unique(np.append(np.arange(0, len(t), every), len(t) - 1))
+    return t[keep], np.minimum(travelled, tau[-1])[keep], smooth[keep], acceleration[keep]
 
 
 def limit_use(trajectory: TimedTrajectory, v_limit: FloatArray, a_limit: FloatArray) -> FloatArray:
@@ -274,13 +255,8 @@ def limit_use(trajectory: TimedTrajectory, v_limit: FloatArray, a_limit: FloatAr
 
 @exact
 def _use(
-    t: NDArray[Any],
-    q: NDArray[Any],
-    v: NDArray[Any],
-    a: NDArray[Any],
-    v_limit: NDArray[Any],
-    a_limit: NDArray[Any],
-) -> NDArray[Any]:
+    t: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray, v_limit: FloatArray, a_limit: FloatArray
+) -> FloatArray:
     use = np.zeros((len(t), MOMENTS))
     for j in range(q.shape[1]):
         per_v, per_a = 1.0 / v_limit[j], 1.0 / a_limit[j]

@@ -105,15 +105,6 @@ class TimedTrajectory:
         a = np.where(at_end | before, 0.0, a)
         return q, v, a
 
-    def shifted(self, by_s: float) -> TimedTrajectory:
-        """Return the same movement `by_s` seconds later."""
-        return TimedTrajectory(self.t_s + by_s, self.q, self.v, self.a)
-
-    def rest_of(self, t_s: float, n_waypoints: int) -> FloatArray:
-        """Return `n_waypoints` configurations from time `t_s` to the end, evenly spaced in time."""
-        times = np.linspace(min(t_s, self.end_s), self.end_s, n_waypoints)
-        return self.sample(times)[0]
-
 
 def at_rest(q: ArrayLike, t_s: float) -> TimedTrajectory:
     """Return the trajectory of a robot that rests at `q` (D,) from `t_s` on."""

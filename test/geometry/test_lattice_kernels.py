@@ -12,6 +12,7 @@ from humanpred_ros.geometry.compiled import fast
 from humanpred_ros.geometry.lattice_kernels import (
     FREE_ROWS,
     VALUE,
+    Lattice,
     all_above,
     corners,
     interpolate,
@@ -60,6 +61,6 @@ def test_places_are_looked_up_one_by_one_in_double_precision(seed: int) -> None:
     shape, origin, cells_per_m = rng.integers(2, 9, 3), rng.normal(size=3), rng.uniform(0.5, 40.0)
     values = rng.normal(size=shape).astype(np.float32)
     cells = rng.uniform(-2.0, shape + 1.0, (20, 3))
-    found = values_at(origin + cells / cells_per_m, values, origin, cells_per_m)
+    found = values_at(origin + cells / cells_per_m, Lattice(values, origin, cells_per_m))
     grid = RegularGridInterpolator([np.arange(n) for n in shape], values.astype(np.float64))
     np.testing.assert_allclose(found, grid(np.clip(cells, 0, shape - 1)), atol=1e-9)

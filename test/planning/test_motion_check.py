@@ -91,13 +91,13 @@ def test_a_path_is_checked_between_its_waypoints(seed: int, n_joints: int) -> No
     q = path[before] * (1.0 - part) + path[np.minimum(before + 1, len(path) - 1)] * part
     clearance = dense(chain, spheres, field, q)
     checker = MotionChecker(chain, spheres, field, float(clearance.min()) + rng.normal(0.0, 0.03))
-    trouble = checker.first_trouble_on_path(path)
+    trouble = checker.first_trouble(path)
     if trouble is None:
         assert clearance.min() >= checker.padding_m - 1e-5
     else:
         assert clearance[s < trouble.at].min(initial=np.inf) >= checker.padding_m - RESOLUTION_M - 1e-5
         assert trouble.clearance_m <= checker.padding_m + 0.5 * checker.resolution_m
-    assert checker.nearest_on_path(path).at_least_m <= clearance.min() + 1e-5
+    assert checker.nearest(path).at_least_m <= clearance.min() + 1e-5
 
 
 @settings(max_examples=40)
@@ -129,7 +129,7 @@ def test_a_thin_wall_between_two_free_waypoints_is_found() -> None:
     path = np.array([[0.0, 0.0, 0.0], [0.9, 0.0, 0.0]])
     ends = dense(arm.chain, arm.spheres(), field, np.array([[0.0, 0.0, 0.0]]))
     assert ends[0] > 0.0
-    trouble = MotionChecker(arm.chain, arm.spheres(), field).first_trouble_on_path(path)
+    trouble = MotionChecker(arm.chain, arm.spheres(), field).first_trouble(path)
     assert trouble is not None
     assert (trouble.what, trouble.link) == ("obstacle", "three")
     # The last sphere, 0.88 m out and 0.03 m in radius, meets the wall's near face.
@@ -149,15 +149,15 @@ def test_an_arm_that_folds_into_itself_is_found() -> None:
     # Both joints fold to an equilateral triangle and out again: between its ends the tip comes to the base.
     path = np.array([[0.0, 0.0, 0.0], [0.0, 4.0, 4.0]])
     checker = MotionChecker(arm.chain, arm.spheres(), far, 0.05, tip_to_base)
-    trouble = checker.first_trouble_on_path(path)
+    trouble = checker.first_trouble(path)
     assert trouble is not None
     assert (trouble.what, trouble.link) == ("self", "")
     s = np.linspace(0.0, 1.0, 4000)
     clearance = tip_to_base(path[0] + s[:, None] * (path[1] - path[0]))
     assert trouble.at == pytest.approx(s[np.argmax(clearance < 0.05)], abs=0.01)
-    assert MotionChecker(arm.chain, arm.spheres(), far, 0.05).first_trouble_on_path(path) is None
+    assert MotionChecker(arm.chain, arm.spheres(), far, 0.05).first_trouble(path) is None
     least = float(clearance.min())
-    assert MotionChecker(arm.chain, arm.spheres(), far, least - 0.004, tip_to_base).first_trouble_on_path(path) is None
+    assert MotionChecker(arm.chain, arm.spheres(), far, least - 0.004, tip_to_base).first_trouble(path) is None
 
 
 def test_the_earlier_of_two_troubles_is_told() -> None:
@@ -167,11 +167,11 @@ def test_the_earlier_of_two_troubles_is_told() -> None:
         return 1.0 - np.abs(q[:, 0]) / 0.9
 
     path = np.array([[0.0, 0.0, 0.0], [0.9, 0.0, 0.0]])
-    wall = MotionChecker(arm.chain, arm.spheres(), wall_between(0.3)).first_trouble_on_path(path)
+    wall = MotionChecker(arm.chain, arm.spheres(), wall_between(0.3)).first_trouble(path)
     assert wall is not None
     for padding, first in ((1.02 - wall.at, "self"), (0.98 - wall.at, "obstacle")):
         checker = MotionChecker(arm.chain, arm.spheres(), wall_between(0.3), 0.0, lambda q, p=padding: bent(q) - p)
-        trouble = checker.first_trouble_on_path(path)
+        trouble = checker.first_trouble(path)
         assert trouble is not None
         assert trouble.what == first
 
@@ -195,7 +195,7 @@ def test_a_field_that_holds_nothing_but_the_arm_outside_it() -> None:
     arm = planar_arm()
     field = field_around(np.pad(np.ones((2, 2, 2), dtype=np.bool_), 3), (2.0, 2.0, 2.0), 0.05)
     path = np.array([[0.0, 0.0, 0.0], [0.9, 0.0, 0.0]])
-    assert MotionChecker(arm.chain, arm.spheres(), field).first_trouble_on_path(path) is None
+    assert MotionChecker(arm.chain, arm.spheres(), field).first_trouble(path) is None
 
 
 def test_the_scene_of_the_paper() -> None:
@@ -232,4 +232,4 @@ def test_what_makes_no_sense_is_refused() -> None:
         checker.first_trouble(at_rest([0.0, 0.0, 0.0], 0.0), np.nan)
     for path in (np.zeros((0, 3)), np.zeros((2, 2)), np.full((2, 3), np.nan)):
         with pytest.raises(PlanningError, match="path"):
-            checker.first_trouble_on_path(path)
+            checker.first_trouble(path)

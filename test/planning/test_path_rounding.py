@@ -8,14 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 
-from humanpred_ros.planning.path import CONTROL_POINTS, NODES, smooth_path, straight
+from humanpred_ros.planning.path import straight
+from humanpred_ros.planning.path_following import CONTROL_POINTS, NODES, SmoothPath
 
 
 @settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_position_and_derivatives_are_the_splines(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    path = smooth_path(rng.normal(size=(int(rng.integers(2, 60)), 3)).cumsum(axis=0))
+    path = SmoothPath.rounding(rng.normal(size=(int(rng.integers(2, 60)), 3)).cumsum(axis=0))
     knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, CONTROL_POINTS - 2), np.ones(3)])
     spline = BSpline(knots, path.control, 3)
     s = np.concatenate([rng.uniform(0.0, 1.0, 200), knots, np.linspace(0.0, 1.0, NODES)])
@@ -28,7 +29,7 @@ def test_position_and_derivatives_are_the_splines(seed: int) -> None:
 
 
 def test_beyond_its_ends_a_path_stays_there() -> None:
-    path = smooth_path(straight([0.0, 1.0], [2.0, 0.0], 7))
+    path = SmoothPath.rounding(straight([0.0, 1.0], [2.0, 0.0], 7))
     np.testing.assert_allclose(
         path.at(np.array([-0.5, 0.0, 1.0, 1.5]))[0], [[0, 1], [0, 1], [2, 0], [2, 0]], atol=1e-12
     )
@@ -37,7 +38,7 @@ def test_beyond_its_ends_a_path_stays_there() -> None:
 
 @pytest.mark.parametrize("until", [0.25, 0.6, 1.0])
 def test_a_path_led_aside_begins_alike_and_ends_beside(until: float) -> None:
-    path = smooth_path(np.random.default_rng(3).normal(size=(20, 2)).cumsum(axis=0))
+    path = SmoothPath.rounding(np.random.default_rng(3).normal(size=(20, 2)).cumsum(axis=0))
     by = np.array([0.3, -0.1])
     aside = path.led_aside(by, until)
     start = np.array([0.0])

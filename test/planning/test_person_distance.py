@@ -13,10 +13,12 @@ from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.planning.motion_check import MotionChecker
 from humanpred_ros.planning.path import straight
-from humanpred_ros.planning.person import OVERSTATED_VOXELS, PersonDistance
+from humanpred_ros.planning.person import distance_to_voxels
 from humanpred_ros.planning.time_parameterisation import time_parameterise
 
 GRID = VoxelGrid((-1.0, -0.6, 0.2), 0.1, (20, 14, 11))
+#: Interpolated distances exceed the true distance to cubes by at most this many voxels: in front of the corner of one.
+OVERSTATED_VOXELS = 0.5
 SEEDS = st.integers(0, 2**32 - 1)
 
 
@@ -33,7 +35,7 @@ def test_distances_are_those_to_cubes(seed: int, count: int, cap: float) -> None
     lower = np.array([-0.9, -0.5, 0.0]) + rng.uniform(0.0, 0.6, 3)
     upper = lower + rng.uniform(0.3, 1.0, 3)
     flat = rng.choice(GRID.size, count, replace=False)
-    field = PersonDistance(GRID, lower, upper, cap).field(flat)
+    field = distance_to_voxels(GRID, flat, lower, upper, cap)
     nodes = np.stack(np.meshgrid(*[np.arange(n) for n in field.values.shape], indexing="ij"), axis=-1).reshape(-1, 3)
     centres = field.origin_m + nodes * field.resolution_m
     wanted = np.minimum(to_cubes(GRID, flat, centres), cap)
@@ -48,7 +50,7 @@ def test_distances_are_those_to_cubes(seed: int, count: int, cap: float) -> None
 def test_in_front_of_a_face_it_is_exact_and_in_front_of_a_corner_at_its_worst() -> None:
     flat = np.array([np.ravel_multi_index((10, 7, 5), GRID.shape)])
     centre = GRID.centres_m(flat)[0]
-    field = PersonDistance(GRID, np.array([-1.0, -0.6, 0.2]), np.array([1.0, 0.8, 1.3])).field(flat)
+    field = distance_to_voxels(GRID, flat, [-1.0, -0.6, 0.2], [1.0, 0.8, 1.3], 0.4)
     out = np.linspace(0.0, 0.3, 50)
     for axis in np.eye(3):
         np.testing.assert_allclose(field.distance(centre + out[:, None] * axis), out - 0.05, atol=1e-6)
@@ -65,7 +67,7 @@ def test_the_distance_along_a_movement_is_bounded() -> None:
     grid = VoxelGrid((-1.0, -1.0, -0.1), 0.05, (40, 40, 4))
     centres = grid.centres_m(np.arange(grid.size))
     flat = np.flatnonzero(np.linalg.norm(centres[:, :2] - [0.5, 0.9], axis=1) < 0.25)
-    person = PersonDistance(grid, np.array([-1.0, -1.0, -0.1]), np.array([1.0, 1.0, 0.1])).field(flat)
+    person = distance_to_voxels(grid, flat, [-1.0, -1.0, -0.1], [1.0, 1.0, 0.1], 0.4)
     trajectory = time_parameterise(straight([0.0, 0.0, 0.0], [1.5, 0.3, 0.2], 20), 1.0, 3.0)
     checker = MotionChecker(arm.chain, arm.spheres(), person, 0.02, what="person")
     nearest = checker.nearest(trajectory)
@@ -79,12 +81,12 @@ def test_the_distance_along_a_movement_is_bounded() -> None:
 
 
 def test_what_makes_no_sense_is_refused() -> None:
-    low, high = np.array([-0.5, -0.5, 0.3]), np.array([0.5, 0.5, 1.0])
+    nothing, low, high = np.zeros(0, dtype=np.int64), np.array([-0.5, -0.5, 0.3]), np.array([0.5, 0.5, 1.0])
     with pytest.raises(PlanningError, match="cap"):
-        PersonDistance(GRID, low, high, 0.0)
+        distance_to_voxels(GRID, nothing, low, high, 0.0)
     with pytest.raises(PlanningError, match="box"):
-        PersonDistance(GRID, high, low)
+        distance_to_voxels(GRID, nothing, high, low, 0.4)
     with pytest.raises(PlanningError, match="box"):
-        PersonDistance(GRID, low + 50.0, high + 50.0)
+        distance_to_voxels(GRID, nothing, low + 50.0, high + 50.0, 0.4)
     with pytest.raises(PlanningError, match="voxels"):
-        PersonDistance(GRID, low, high).field(np.array([GRID.size]))
+        distance_to_voxels(GRID, np.array([GRID.size]), low, high, 0.4)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from planning_paths import A, V, a_path
 
-from humanpred_ros.planning.path import smooth_path, straight
-from humanpred_ros.planning.speed_profile import SMOOTHING_S, controllable, fastest
+from humanpred_ros.planning.path import straight
+from humanpred_ros.planning.path_following import SMOOTHING_S, PathLimits, SmoothPath, controllable, fastest
 from humanpred_ros.planning.stopping import stop_trajectory
 from humanpred_ros.planning.time_parameterisation import time_parameterise
 
@@ -20,10 +20,11 @@ SEEDS = st.integers(0, 2**32 - 1)
 def fastest_s(path: NDArray[np.float64], n: int = 1001) -> float:
     """Duration of the fastest motion from rest to rest along the rounded path, accelerations free to jump."""
     s = np.linspace(0.0, 1.0, n)
-    _, d1, d2 = smooth_path(path).at(s)
+    _, d1, d2 = SmoothPath.rounding(path).at(s)
     v, a = (np.ascontiguousarray(np.broadcast_to(limit, d1.shape)) for limit in (V, A))
-    best = controllable(d1, d2, -v, v, -a, a, s[1])
-    x = np.sqrt(fastest(d1, d2, -a, a, s[1], best, 1, 0.0, 0.0))
+    limits = PathLimits(-v, v, -a, a)
+    best = controllable(d1, d2, limits, s[1])
+    x = np.sqrt(fastest(d1, d2, limits, s[1], best, 1, 0.0, 0.0))
     return float((2.0 * s[1] / np.maximum(x[1:] + x[:-1], 1e-9)).sum())
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from humanpred_ros.planning.speed_profile import SMOOTHING_S, AveragedProfile, Begin
+from humanpred_ros.planning.path_following import SMOOTHING_S, AveragedProfile, Begin
 from humanpred_ros.planning.stopping import MOMENTS, ComingToRest, limit_use
 from humanpred_ros.planning.trajectory import TimedTrajectory
 

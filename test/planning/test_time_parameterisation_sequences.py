@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from planning_paths import BOX, A, V, a_path
+from planning_paths import BOX, A, V, a_path, rest_of
 
 from humanpred_ros.planning.stopping import brake_along, stop_trajectory
 from humanpred_ros.planning.time_parameterisation import time_parameterise
@@ -52,7 +52,7 @@ def sequence(seed: int, v_limit: NDArray[np.float64], a_limit: NDArray[np.float6
         elif what < 0.2:
             new = stop_trajectory(q, v, a, a_limit, v_limit, period, now)
         elif what < 0.3:  # the old plan, once more
-            old = robot.executing.rest_of(now, 60)
+            old = rest_of(robot.executing, now, 60)
             new = time_parameterise(old, v_limit, a_limit, v, a, period, now)
         else:
             new = time_parameterise(a_path(rng, q, v), v_limit, a_limit, v, a, period, now)
@@ -113,7 +113,7 @@ def test_planning_the_old_path_anew_loses_little_time(seed: int) -> None:
     for share in (0.1, 0.2, 0.35, 0.5, 0.8):
         now = share * old.end_s
         state = old.sample(now)
-        new = time_parameterise(old.rest_of(now, 100), V, A, state[1], state[2], start_s=now)
+        new = time_parameterise(rest_of(old, now, 100), V, A, state[1], state[2], start_s=now)
         lost.append(new.end_s - old.end_s)
     # At the limits already there is nothing left to give, and some paths are left for a moment.
     assert max(lost) <= 0.7

@@ -73,7 +73,7 @@ def test_one_time_gives_one_state() -> None:
 def test_equality_is_of_every_bit() -> None:
     one, other = knots(5), knots(5)
     assert one == other
-    assert one != one.shifted(1e-12 + 1.0)
+    assert one != TimedTrajectory(one.t_s + 1.0, one.q, one.v, one.a)
     nudged = TimedTrajectory(one.t_s, np.nextafter(one.q, 9.0), one.v, one.a)
     assert one != nudged
     assert one != "a trajectory"

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from humanpred_ros.planning.candidates import Candidate, ranked
 from humanpred_ros.planning.decision import GoalReport
 from humanpred_ros.planning.replanner_config import ReplannerConfig
+from humanpred_ros.planning.step import Candidate, Step
 
 PATH = np.zeros((5, 3))
 
@@ -28,8 +28,8 @@ def order(*candidates: Candidate, chosen: str | None, left: dict[str, int] | Non
     """Names of the candidates, best first, for a robot that works on `chosen` and has left goals before."""
     settings = ReplannerConfig(**{"switch_cost": 0.1, "switch_improvement": 0.0, **config})
     state = SimpleNamespace(chosen=chosen, left=left or {})
-    step = SimpleNamespace(problem=SimpleNamespace(config=settings), state=state, candidates=list(candidates))
-    return [found.name for found in ranked(step)]
+    step = SimpleNamespace(config=settings, state=state, candidates=list(candidates))
+    return [found.name for found in Step.ranked(step)]
 
 
 A, B, C = candidate("a", 1.0), candidate("b", 0.85), candidate("c", 0.95)
