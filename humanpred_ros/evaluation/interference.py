@@ -9,20 +9,22 @@ methods, and has no margin that a planner keeps. Basic STOMP is the same planner
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from rich.console import Console
 
-from humanpred_ros.evaluation.avoidance import Avoidance
+from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.framework import Begin, Column, LibrarySettings, Report, Table, chosen_names, present
 from humanpred_ros.evaluation.interference_runs import (
     BASIC,
     METHODS,
     PREDICTING,
+    TABLE_METHODS,
+    Avoidance,
     PersonOutcome,
     Runs,
     RunTask,
@@ -30,25 +32,23 @@ from humanpred_ros.evaluation.interference_runs import (
 )
 from humanpred_ros.evaluation.outputs import library_facts
 from humanpred_ros.evaluation.parallel import map_processes
-from humanpred_ros.evaluation.published_costs import read_table1
-from humanpred_ros.evaluation.simulation import RunSettings, first_of_classes, running_numbers, training_library
-from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.evaluation.run_plots import draw_interference
+from humanpred_ros.evaluation.simulation import RunSettings, first_of_classes, training_library
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.recognition.classifier import check_trainable
 from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.settings import setting
-from humanpred_ros.viewing.figures import ALARM, INK, MUTED, SERIES, new_figure, note
 
-#: Table I: P1's two methods and the default predictor, beside human trajectories 25 to 29.
-TABLE_METHODS = ("ours_p1", "ours", BASIC)
+#: Table I's scene.
 TABLE_SCENE = "side_by_side"
+#: Where the papers' data folder keeps Table I, relative to the folder that a library lies in, and its name of ours.
+TABLE1_BESIDE_LIBRARY = Path("reference") / "table1_runs.csv"
+_PUBLISHED_OURS = "least_penetration"
 #: A person's way crosses the arm's if basic STOMP comes closer than this.
 CROSSING_M = 0.10
 #: So many are listed of what may be many: contacts of methods that do not predict, and runs that reach no goal.
 _LISTED = 20
-#: What stands for a cost of zero on a logarithmic axis.
-_SMALLEST_COST = 1e-4
 
 
 class InterferenceSettings(LibrarySettings):
@@ -78,10 +78,6 @@ class InterferenceSettings(LibrarySettings):
         chosen = chosen_names(self.methods, METHODS, "methods")
         return tuple(name for name in METHODS if name in {*chosen, BASIC})
 
-    def run_settings(self) -> RunSettings:
-        """Return how each run is made."""
-        return RunSettings(gmm=GmmSettings(n_components=self.components, seed=self.seed), hold_out=self.hold_out)
-
 
 def run(settings: InterferenceSettings, console: Console) -> int:
     """Carry out `humanpred evaluate interference`."""
@@ -97,7 +93,9 @@ def measure(settings: InterferenceSettings, begin: Begin, run_settings: RunSetti
         LibraryFormatError: a library that nothing can be learned from.
         HumanPredError: other DoFs, an unknown scene or motion, or a scene that cannot be planned in.
     """
-    library, how = settings.read_library(), run_settings or settings.run_settings()
+    library = settings.read_library()
+    gmm = GmmSettings(n_components=settings.components, seed=settings.seed)
+    how = run_settings or RunSettings(gmm=gmm, hold_out=settings.hold_out)
     HumanModel.kinect12().check_dofs(library.dof_names)
     check_trainable(training_library(library, how.hold_out))
     runs = Runs(library, how)
@@ -109,17 +107,11 @@ def measure(settings: InterferenceSettings, begin: Begin, run_settings: RunSetti
     pairs = list(zip(tasks, outcomes, strict=True))
     table1 = _table1(library, settings, pairs, read_table1(settings.library_path.resolve().parent))
     comparison = _comparison(library, settings, pairs)
-    contacts = _contacts(pairs)
-    unreached = [
-        {"scene": task.scene, "motion": one.motion, "method": one.method, "seed": one.seed, "goal_m": outcome.goal_m,
-         "ended": one.ended}
-        for task, outcome in pairs for one in outcome.runs if one.goal is None and one.method in PREDICTING
-    ]  # fmt: skip
-    unreached.sort(key=lambda row: (row["method"], row["scene"], row["motion"], row["seed"]))
+    contacts, unreached = _contacts(pairs), _unreached(pairs)
     figures = {
         "library": library_facts(library, held_out_together=how.hold_out),
         "methods_are": {name: what for name, (_, what) in METHODS.items()},
-        "compared_motions": tuple(first_of_classes(library, settings.motions)),
+        "compared_motions": first_of_classes(library, settings.motions),
         "table1": table1,
         "comparison": comparison,
         "contacts": contacts,
@@ -165,30 +157,55 @@ def _table_seeds(library: MotionLibrary, settings: InterferenceSettings) -> dict
     return {name: range(k * n, (k + 1) * n) for k, name in enumerate(dict.fromkeys(names))} if n else {}
 
 
+def read_table1(folder: Path) -> dict[int, dict[str, float]]:
+    """Return P1's Table I by global id: mean and sd of both planners and their ratio; empty if it is not in a folder.
+
+    Raises:
+        UsageError: a file without the columns human_traj_id, planner, run and cost.
+    """
+    path = folder / TABLE1_BESIDE_LIBRARY
+    if not path.is_file():
+        return {}
+    costs: dict[int, dict[str, list[float]]] = {}
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            for row in csv.DictReader(stream):
+                planner = "ours" if row["planner"] == _PUBLISHED_OURS else "basic"
+                costs.setdefault(int(row["human_traj_id"]), {"ours": [], "basic": []})[planner].append(
+                    float(row["cost"])
+                )
+        if not all(len(values) for of_motion in costs.values() for values in of_motion.values()):
+            raise ValueError("a trajectory with the runs of one planner only")
+    except (OSError, KeyError, TypeError, ValueError) as trouble:
+        raise UsageError(
+            f"{path}: wanted a CSV file with the columns human_traj_id, planner ({_PUBLISHED_OURS} and another), run "
+            f"and cost, got {type(trouble).__name__}: {trouble}; correct or remove it"
+        ) from trouble
+    rows = {}
+    for number, of_motion in costs.items():
+        rows[number] = {f"{name}_mean": float(np.mean(values)) for name, values in of_motion.items()}
+        for name, values in of_motion.items():
+            rows[number][f"{name}_sd"] = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
+        rows[number]["ratio"] = rows[number]["basic_mean"] / rows[number]["ours_mean"]
+    return rows
+
+
 Pairs = Sequence[tuple[RunTask, PersonOutcome]]
 
 
 def _table1(
     library: MotionLibrary, settings: InterferenceSettings, pairs: Pairs, published: Mapping[int, dict[str, float]]
 ) -> list[dict[str, Any]]:
-    numbers, rows = running_numbers(library), []
+    # The papers' global id: the running number over the sorted classes.
+    ordered = sorted(library, key=lambda motion: (-1 if motion.label is None else motion.label, motion.index))
+    numbers = {motion.name: number for number, motion in enumerate(ordered)}
+    rows = []
     for motion, seeds in _table_seeds(library, settings).items():
-        runs = [
-            one
-            for task, outcome in pairs
-            if (task.scene, task.motion) == (TABLE_SCENE, motion)
-            for one in outcome.runs
-            if one.seed in seeds
-        ]
-        figures = {method: method_figures(method, runs) for method in TABLE_METHODS}
-        rows.append(
-            {
-                "number": numbers[motion],
-                "motion": motion,
-                "methods": figures,
-                "published": published.get(numbers[motion]),
-            }
-        )
+        outcomes = [outcome for task, outcome in pairs if (task.scene, task.motion) == (TABLE_SCENE, motion)]
+        runs = [one for outcome in outcomes for one in outcome.runs if one.seed in seeds]
+        methods = {method: method_figures(method, runs) for method in TABLE_METHODS}
+        number = numbers[motion]
+        rows.append({"number": number, "motion": motion, "methods": methods, "published": published.get(number)})
     return rows
 
 
@@ -221,21 +238,28 @@ def _contacts(pairs: Pairs) -> list[dict[str, Any]]:
     """Return one record for each run in which the arm's spheres touch the human; `avoidable` None: not looked into."""
     rows = [
         {"scene": task.scene, "motion": one.motion, "method": one.method, "seed": one.seed, "contact": one.contact,
-         "avoidance": outcome.avoidance, "avoidable": outcome.avoidance and outcome.avoidance.avoidable}
+         "avoidance": outcome.avoidance, "avoidable": outcome.avoidance and bool(outcome.avoidance.policy)}
         for task, outcome in pairs for one in outcome.runs if one.contact is not None
     ]  # fmt: skip
     order = list(METHODS)
     return sorted(rows, key=lambda row: (order.index(str(row["method"])), row["scene"], row["motion"], row["seed"]))
 
 
-def _plus_minus(mean: float, sd: float, digits: int = 4) -> str:
-    return f"{mean:.{digits}f} +- {sd:.{digits}f}"
+def _unreached(pairs: Pairs) -> list[dict[str, Any]]:
+    """Return one record for each predicting run that ends at no goal."""
+    rows = [
+        {"scene": task.scene, "motion": one.motion, "method": one.method, "seed": one.seed, "goal_m": outcome.goal_m,
+         "ended": one.ended}
+        for task, outcome in pairs for one in outcome.runs if one.goal is None and one.method in PREDICTING
+    ]  # fmt: skip
+    return sorted(rows, key=lambda row: (row["method"], row["scene"], row["motion"], row["seed"]))
 
 
 def _late(value: float) -> float | str:
     return value if np.isfinite(value) else "never"
 
 
+_RUN = Column("run", lambda r: f"{r['method']}, {r['scene']}, {r['motion']}, seed {r['seed']}")
 _SAFETY = (
     Column("method", lambda f: f["method"]),
     Column("runs", lambda f: f["runs"]),
@@ -244,7 +268,12 @@ _SAFETY = (
     Column("median least distance to human", lambda f: f["median_distance_m"], ".3f", "m"),
     Column("least of all", lambda f: f["least_distance_m"], ".3f", "m"),
     Column("least clearance to table, objects", lambda f: f["clearance_m"], ".3f", "m"),
-    Column("median time to goal", lambda f: _late(f["time_to_goal_s"]), ".2f", "s"),
+    Column(
+        "median time to goal",
+        lambda f: f["time_to_goal_s"] if np.isfinite(f["time_to_goal_s"]) else "never",
+        ".2f",
+        "s",
+    ),
     Column("median execution time", lambda f: f["execution_s"], ".2f", "s"),
 )
 _COMPARED = (
@@ -258,34 +287,36 @@ _COMPARED = (
 )
 
 
+_TABLE1 = (
+    Column("id", lambda r: r["number"]),
+    Column("published ours", lambda r: _published(r, "ours", 3)),
+    Column("published basic", lambda r: _published(r, "basic", 2)),
+    Column("published ratio", lambda r: r["published"] and r["published"]["ratio"], ".0f"),
+    Column("ours_p1", lambda r: _here(r, "ours_p1", 4)),
+    Column("basic", lambda r: _here(r, "basic", 3)),
+    Column("ratio ours_p1", lambda r: r["methods"]["ours_p1"]["ratio"], ".0f"),
+    Column("ours (default)", lambda r: _here(r, "ours", 4)),
+    Column("ratio ours", lambda r: r["methods"]["ours"]["ratio"], ".0f"),
+)
+
+
+def _published(row: Mapping[str, Any], name: str, digits: int) -> str | None:
+    theirs = row["published"]
+    return theirs and f"{theirs[f'{name}_mean']:.{digits}f} +- {theirs[f'{name}_sd']:.{digits}f}"
+
+
+def _here(row: Mapping[str, Any], name: str, digits: int) -> str:
+    figures = row["methods"][name]
+    return f"{figures['cost_mean']:.{digits}f} +- {figures['cost_sd']:.{digits}f}"
+
+
 def _table1_tables(rows: Sequence[dict[str, Any]]) -> list[Table]:
     if not rows:
         return []
-    heads: list[str | tuple[str, ...]] = ["id", "published ours", "published basic", ("published ratio", ".0f")]
-    heads += ["ours_p1", "basic", ("ratio ours_p1", ".0f"), "ours (default)", ("ratio ours", ".0f")]
-    cells = []
-    for row in rows:
-        p1, ours, basic = (row["methods"][name] for name in TABLE_METHODS)
-        theirs = row["published"]
-        cells.append(
-            (
-                row["number"],
-                theirs and _plus_minus(theirs["ours_mean"], theirs["ours_sd"], 3),
-                theirs and _plus_minus(theirs["basic_mean"], theirs["basic_sd"], 2),
-                theirs and theirs["ratio"],
-                _plus_minus(p1["cost_mean"], p1["cost_sd"]),
-                _plus_minus(basic["cost_mean"], basic["cost_sd"], 3),
-                p1["ratio"],
-                _plus_minus(ours["cost_mean"], ours["cost_sd"]),
-                ours["ratio"],
-            )
-        )
     n_runs = rows[0]["methods"][BASIC]["runs"]
-    safety = [
-        figures | {"method": f"{row['number']} {name}"} for row in rows for name, figures in row["methods"].items()
-    ]
+    safety = [f | {"method": f"{row['number']} {name}"} for row in rows for name, f in row["methods"].items()]
     return [
-        Table.of_rows(f"P1 Table I: cost, mean +- sd of {n_runs} runs; ratio basic / ours", heads, cells),
+        Table(f"P1 Table I: cost, mean +- sd of {n_runs} runs; ratio basic / ours", rows, _TABLE1),
         Table("The same runs, by human trajectory and method", safety, _SAFETY),
     ]
 
@@ -304,7 +335,7 @@ def _contact_tables(rows: Sequence[dict[str, Any]]) -> list[Table]:
     predicting = [row for row in rows if row["method"] in PREDICTING]
     others = [row for row in rows if row["method"] not in PREDICTING]
     columns = (
-        Column("run", lambda r: f"{r['method']}, {r['scene']}, {r['motion']}, seed {r['seed']}"),
+        _RUN,
         Column("at", lambda r: r["contact"].t_s, ".2f", "s"),
         Column("deepest", lambda r: r["contact"].deepest_m, ".3f", "m"),
         Column("arm's surface", lambda r: r["contact"].surface_m, ".3f", "m"),
@@ -320,7 +351,7 @@ def _contact_tables(rows: Sequence[dict[str, Any]]) -> list[Table]:
 def _verdict(avoidance: Avoidance | None) -> str:
     if avoidance is None:
         return "not looked into"
-    if not avoidance.avoidable:
+    if not avoidance.policy:
         return f"no: best of {avoidance.tried} policies came to {avoidance.best_m:.3f} m"
     until_s = avoidance.latest_departure_s
     return f"yes: {avoidance.policy}" + (f", leaving by {until_s:.2f} s" if np.isfinite(until_s) else "")
@@ -328,86 +359,10 @@ def _verdict(avoidance: Avoidance | None) -> str:
 
 def _unreached_tables(rows: Sequence[dict[str, Any]]) -> list[Table]:
     columns = (
-        Column("run", lambda r: f"{r['method']}, {r['scene']}, {r['motion']}, seed {r['seed']}"),
+        _RUN,
         Column("person leaves at a goal", lambda r: r["goal_m"], ".3f", "m"),
         Column("last decision", lambda r: r["ended"]),
     )
     more = f"and {len(rows) - _LISTED} more" if len(rows) > _LISTED else ""
     title = f"Predicting runs that end at no goal: {len(rows)}"
     return [Table(title, rows[:_LISTED], columns, more)] if rows else []
-
-
-def draw_interference(
-    table1: Sequence[Mapping[str, Any]], comparison: Sequence[Mapping[str, Any]], figures: Mapping[str, Any]
-) -> Figure:
-    """Return the plot: Table I's costs beside the published, and how close and how late; parts without data say so."""
-    figure = new_figure(6.4)
-    above, below = figure.subplots(2, 1)
-    _draw_costs(above, table1)
-    cells = below.get_subplotspec().subgridspec(1, 2)
-    below.remove()
-    distance, time = (figure.add_subplot(cell) for cell in cells)
-    methods = [f["method"] for f in comparison[0]["methods"]] if comparison else []
-    motions = set(figures["compared_motions"])
-    runs = [[one for one in figures["runs"] if one.method == name and one.motion in motions] for name in methods]
-    near = [np.array([one.least_distance_m for one in some]) for some in runs]
-    late = [np.array([one.time_to_goal_s for one in some]) for some in runs]
-    _draw_runs(distance, methods, near, "least distance to the human, m")
-    if methods:
-        distance.axvline(0.0, color=ALARM, linewidth=1.0)
-    _draw_runs(time, methods, late, "time to goal, s")
-    return figure
-
-
-def _draw_costs(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
-    axes.set_title("human occupancy of the executed motion (P1 Table I), mean and standard deviation")
-    if not rows:
-        note(axes, "Table I was left out")
-        return
-    series = {f"{name}, here": [row["methods"][name] for row in rows] for name in TABLE_METHODS}
-    here = {name: [(f["cost_mean"], f["cost_sd"]) for f in values] for name, values in series.items()}
-    theirs = {}
-    if all(row["published"] for row in rows):
-        for name in ("ours", BASIC):
-            theirs[f"{name}, published"] = [
-                (r["published"][f"{name}_mean"], r["published"][f"{name}_sd"]) for r in rows
-            ]
-    width = 0.8 / (len(here) + len(theirs))
-    for k, (name, values) in enumerate({**theirs, **here}.items()):
-        mean, sd = np.array(values).T
-        x = np.arange(len(rows)) + (k - (len(here) + len(theirs) - 1) / 2.0) * width
-        low = np.minimum(sd, mean - np.maximum(mean / 10.0, _SMALLEST_COST / 2.0))  # an error bar stays on the axis
-        faint: dict[str, Any] = {"alpha": 0.45, "hatch": "//"} if name in theirs else {}
-        axes.bar(
-            x, np.maximum(mean, _SMALLEST_COST), 0.92 * width, yerr=np.stack([np.maximum(low, 0.0), sd]),
-            error_kw={"elinewidth": 0.8, "ecolor": INK}, color=SERIES[k % len(SERIES)], edgecolor="white", label=name,
-            **faint,
-        )  # fmt: skip
-    axes.set_yscale("log")
-    axes.set_xticks(np.arange(len(rows)), [str(row["number"]) for row in rows])
-    axes.set_xlabel("human trajectory")
-    axes.set_ylabel("cost")
-    axes.legend(ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.08))
-
-
-def _draw_runs(axes: Axes, methods: Sequence[str], values: Sequence[FloatArray], label: str) -> None:
-    if not methods:
-        note(axes, "the comparison was left out")
-        return
-    for row, (method, all_runs) in enumerate(zip(methods, values, strict=True)):
-        finite = all_runs[np.isfinite(all_runs)]
-        spread = ((np.arange(len(finite)) * 0.618) % 1.0 - 0.5) * 0.5  # side by side without chance
-        axes.plot(finite, row + spread, ".", color=SERIES[row % len(SERIES)], markersize=3.0, alpha=0.6)
-        median = float(np.median(all_runs))
-        if np.isfinite(median):
-            axes.plot([median, median], [row - 0.35, row + 0.35], color=INK, linewidth=2.0)
-        never = len(all_runs) - len(finite)
-        if never:
-            axes.text(0.99, row, f"{never} never", transform=axes.get_yaxis_transform(), ha="right", color=MUTED)
-        axes.text(-0.02, row, method, transform=axes.get_yaxis_transform(), ha="right", va="center")
-    if not all(np.isfinite(numbers).all() for numbers in values):
-        low, high = axes.get_xlim()
-        axes.set_xlim(low, high + 0.15 * (high - low))  # room for the runs that never arrive
-    axes.set_yticks([])
-    axes.set_ylim(len(methods) - 0.4, -0.6)
-    axes.set_xlabel(label + "; the bar is the median")

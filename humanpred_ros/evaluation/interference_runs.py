@@ -1,21 +1,35 @@
-"""The arm beside one person, by every method and seed: the runs that P1's Table I and its extension are made of."""
+"""The arm beside one person, by every method and seed: the runs that P1's Table I and its extension are made of.
+
+The recorded person does not react. Whether any motion of the arm could have avoided a contact is found by trying.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from humanpred_ros.evaluation.avoidance import Avoidance, find_avoidance
 from humanpred_ros.evaluation.run_figures import ExecutedMotion, RunEvaluator, RunFigures
-from humanpred_ros.evaluation.simulation import PredictedOccupancies, RunSettings, World, drive, nobody
+from humanpred_ros.evaluation.simulation import (
+    PredictedOccupancies,
+    RunSettings,
+    World,
+    drive,
+    held_postures,
+    nobody,
+)
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.planning.decision import Decision
+from humanpred_ros.planning.path import straight
 from humanpred_ros.planning.replanner import Replanner
+from humanpred_ros.planning.replanner_config import ReplannerConfig
+from humanpred_ros.planning.time_parameterisation import time_parameterise
+from humanpred_ros.planning.trajectory import at_rest
 from humanpred_ros.robot.scene import Scene
 
 #: What the arm goes by: the predictor that it is told by (None: nobody), and what that is.
@@ -29,10 +43,19 @@ METHODS: Mapping[str, tuple[str | None, str]] = MappingProxyType(
     }
 )
 BASIC = "basic"
+#: Table I: P1's two methods and the default predictor, beside human trajectories 25 to 29.
+TABLE_METHODS = ("ours_p1", "ours", BASIC)
 #: Methods that predict: every contact of their runs is looked into.
 PREDICTING = ("ours", "ours_p1")
 #: Whose prediction after the last posture every run is measured with, as in P1's Table I.
 _MEASURE = "swept_volume"
+#: Waypoints of a straight line that is tried.
+_WAYPOINTS = 40
+#: Configurations to leave for that are tried, and how far each joint may turn, rad.
+_PLACES = 200
+_SPREAD_RAD = 1.2
+#: Departures tried, in replanning steps after the first posture.
+_DEPARTURES = (0, 1, 2, 4, 6, 8, 10, 12, 15, 20)
 
 
 @dataclass(frozen=True)
@@ -42,6 +65,27 @@ class RunTask:
     scene: str
     motion: str
     runs: tuple[tuple[str, int], ...]
+
+
+@dataclass(frozen=True)
+class Avoidance:
+    """The best that was found by trying simple policies with everything known beforehand.
+
+    A policy is: stay at the start; go to a goal on a straight line, departing at some replanning step; go on a straight
+    line to one of 200 places around the start and stay there. All within the planner's velocity and acceleration
+    limits and clear of table and objects.
+
+    Attributes:
+        policy: the first that stays clear of the human, "" if none does: then the contact counts as unavoidable.
+        latest_departure_s: until when the arm could still depart by that policy; infinite if it need not move.
+        best_m: largest least distance of all policies tried.
+        tried: how many were.
+    """
+
+    policy: str
+    latest_departure_s: float
+    best_m: float
+    tried: int
 
 
 @dataclass(frozen=True)
@@ -74,17 +118,17 @@ class Runs:
     def __call__(self, task: RunTask) -> PersonOutcome:
         """Make the runs of one task. Raises what training, prediction and planning raise."""
         scene, motion = self.world.scene(task.scene), self.world.library.find(task.motion)
-        n_held = self.settings.held_postures(motion)
+        n_held = held_postures(motion, self.settings.hold_s)
         predictors = {METHODS[method][0] for method, _ in task.runs} | {_MEASURE}
-        told = {name: self.world.told(name, scene, motion, n_held) for name in sorted(filter(None, predictors))}
-        final, swept = told[_MEASURE].after(len(motion) - 1), self.world.swept(scene, motion)
+        seen = {name: self.world.predictions(name, scene, motion, n_held) for name in sorted(filter(None, predictors))}
+        final, swept = seen[_MEASURE].after(len(motion) - 1), self.world.swept(scene, motion)
         evaluator = RunEvaluator(scene, self.world.human, motion, final, swept, n_held)
         figures: dict[tuple[str, int], RunFigures] = {}
         for seed in dict.fromkeys(seed for _, seed in task.runs):
             replanner = Replanner.for_scene(scene, self.settings.replanner_config(motion, seed))
             try:
                 for method in (method for method, its_seed in task.runs if its_seed == seed):
-                    executed, decisions = _run(replanner, scene, motion, method, told, n_held)
+                    executed, decisions = _run(replanner, scene, motion, method, seen, n_held)
                     figures[method, seed] = evaluator.figures(method, seed, executed, decisions)
             finally:
                 replanner.close()
@@ -103,20 +147,17 @@ def _run(
     scene: Scene,
     motion: Motion,
     method: str,
-    told: Mapping[str, PredictedOccupancies],
+    seen: Mapping[str, PredictedOccupancies],
     n_held: int,
 ) -> tuple[ExecutedMotion, list[Decision]]:
     predictor, _ = METHODS[method]
-    begin_s, n_least = 0.0, len(motion)
-    occupancies: Iterable[Occupancy]
-    if predictor is None:
-        occupancies = nobody(scene.grid, motion, n_held)
-    elif method == "wait":
+    begin_s, n_least, first = 0.0, len(motion), 0
+    if method == "wait":
         # It plans at the very moment the motion is over.
-        begin_s, n_least = motion.duration_s - replanner.config.period_s, 1
-        occupancies = told[predictor].since(len(motion) - 1)
-    else:
-        occupancies = told[predictor]
+        begin_s, n_least, first = motion.duration_s - replanner.config.period_s, 1, len(motion) - 1
+    occupancies: Iterable[Occupancy] = nobody(scene.grid, motion, n_held)
+    if predictor is not None:
+        occupancies = seen[predictor].since(first)
     decisions = drive(replanner, scene.start, occupancies, n_least, begin_s)
     return ExecutedMotion.of(scene.start, decisions, begin_s), decisions
 
@@ -162,3 +203,59 @@ def method_figures(method: str, runs: Sequence[RunFigures]) -> dict[str, Any]:
 
 def _ratio(basic: float | np.floating[Any], mine: float | np.floating[Any]) -> float:
     return float(basic / mine) if mine > 0.0 else np.nan
+
+
+def find_avoidance(evaluator: RunEvaluator, config: ReplannerConfig, seed: int = 0) -> Avoidance:
+    """Try policies in turn until one stays clear of the human, table and objects.
+
+    Args:
+        evaluator: scene and person.
+        config: limits and period of the planner.
+        seed: of the places tried.
+    """
+    best, tried = -np.inf, 0
+    for policy, target in _policies(evaluator.scene, seed):
+        clear_at = -np.inf
+        for departure_s in (k * config.period_s for k in (_DEPARTURES if target is not None else (0,))):
+            least = _least_distance(evaluator, config, target, departure_s)
+            tried += 1
+            best = max(best, least)
+            if least > 0.0:
+                clear_at = departure_s
+            elif np.isfinite(clear_at) or not policy.startswith("go to"):
+                break  # the arm that leaves for a place too late at first is later still
+        if clear_at > -np.inf:
+            return Avoidance(policy, np.inf if target is None else clear_at, best, tried)
+    return Avoidance("", -np.inf, best, tried)
+
+
+def _policies(scene: Scene, seed: int) -> Iterator[tuple[str, FloatArray | None]]:
+    """Yield name and target (None: stay) of each policy."""
+    yield "stay at the start", None
+    for goal in scene.goals:
+        for q in goal.configurations:
+            yield f"go to {goal.name} on a straight line", scene.start + scene.arm.difference(scene.start, q)
+    rng = np.random.default_rng(seed)
+    lower, upper = scene.arm.chain.lower, scene.arm.chain.upper
+    for _ in range(_PLACES):
+        place = np.clip(scene.start + rng.uniform(-_SPREAD_RAD, _SPREAD_RAD, len(lower)), lower, upper)
+        yield "leave for " + " ".join(f"{angle:.2f}" for angle in place), place
+
+
+def _least_distance(
+    evaluator: RunEvaluator, config: ReplannerConfig, target: FloatArray | None, departure_s: float
+) -> float:
+    """Return the least distance to the human; minus infinity where table or an object is in the way."""
+    scene = evaluator.scene
+    trajectory = at_rest(scene.start, departure_s)
+    if target is not None:
+        limit = config.velocity_scale * scene.arm.chain.velocity_limit
+        acceleration = np.broadcast_to(np.asarray(config.acceleration_limit, dtype=np.float64), limit.shape)
+        path, rest = straight(scene.start, target, _WAYPOINTS), np.zeros(len(target))
+        trajectory = time_parameterise(path, limit, acceleration, rest, rest, config.sample_period_s, departure_s)
+        spheres = scene.arm.spheres()
+        centres = spheres.world_m(scene.arm.chain, trajectory.q)
+        for obstacle in (*scene.obstacles, *scene.arm.fixed_obstacles):
+            if (obstacle.shape.distance(centres) - spheres.radius_m).min() < 0.0:
+                return -np.inf
+    return evaluator.meter.measure(trajectory.sample(evaluator.t_s)[0]).least_m

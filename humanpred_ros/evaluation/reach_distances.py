@@ -5,10 +5,12 @@ Reaches are compared by dynamic time warping (docs/papers.md, "P2 distances").
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
 
 from humanpred_ros.errors import HumanModelError, MotionError
 from humanpred_ros.geometry.checks import FloatArray, checked
@@ -24,8 +26,7 @@ ORIENTATION_M_PER_RAD = 0.2
 _EQUAL = 0.99999999
 
 
-@dataclass(frozen=True)
-class ReachDistance:
+class ReachDistance(NamedTuple):
     """Distances of two reaches: metres, summed over the frames of the best time warping.
 
     Attributes:
@@ -40,45 +41,34 @@ class ReachDistance:
     task_m: float
 
 
-class ReachMetric:
-    """Compares reaches of one human; immutable.
+def reach_distance(model: HumanModel, predicted: ArrayLike, real: ArrayLike) -> ReachDistance:
+    """Return the distances between reaches (n, J) and (m, J) of one human.
+
+    P2 compares them at 100 Hz, both with the frames of the recording.
 
     Raises:
-        HumanModelError: a model without one of the links.
+        MotionError: an empty reach, or values that are not finite.
+        HumanModelError: another number of DoFs, or a model without one of the links.
     """
-
-    def __init__(self, model: HumanModel) -> None:
-        lacking = [name for name in (*CENTRES, PALM) if name not in model.link_names]
-        if lacking:
-            raise HumanModelError(
-                f"comparing reaches of {model.name}: wanted the links {', '.join((*CENTRES, PALM))}, "
-                f"it has no {', '.join(lacking)}"
-            )
-        self._model = model
-        self._centres = [model.link_names.index(name) for name in CENTRES]
-        self._palm = model.link_names.index(PALM)
-
-    def between(self, predicted: ArrayLike, real: ArrayLike) -> ReachDistance:
-        """Return the distances between reaches (n, J) and (m, J).
-
-        P2 compares them at 100 Hz, both with the frames of the recording.
-
-        Raises:
-            MotionError: an empty reach, or values that are not finite.
-            HumanModelError: another number of DoFs.
-        """
-        ours = self._model.link_poses(checked("predicted reach", predicted, ("n", "J"), error=MotionError))
-        theirs = self._model.link_poses(checked("real reach", real, ("m", "J"), error=MotionError))
-        joint = np.zeros((len(ours), len(theirs)))
-        for k in self._centres:
-            joint += _euclidean(ours[:, k, :3, 3], theirs[:, k, :3, 3])
-        palm = _euclidean(ours[:, self._palm, :3, 3], theirs[:, self._palm, :3, 3])
-        p, q = quaternions(ours[:, self._palm, :3, :3]), quaternions(theirs[:, self._palm, :3, :3])
-        return ReachDistance(
-            joint_m=warped_sum(joint),
-            task_as_coded_m=warped_sum(palm + ORIENTATION_M_PER_RAD * _angle_as_coded(p, q)),
-            task_m=warped_sum(palm + ORIENTATION_M_PER_RAD * angles(p, q)),
+    lacking = [name for name in (*CENTRES, PALM) if name not in model.link_names]
+    if lacking:
+        raise HumanModelError(
+            f"comparing reaches of {model.name}: wanted the links {', '.join((*CENTRES, PALM))}, "
+            f"it has no {', '.join(lacking)}"
         )
+    ours = model.link_poses(checked("predicted reach", predicted, ("n", "J"), error=MotionError))
+    theirs = model.link_poses(checked("real reach", real, ("m", "J"), error=MotionError))
+    *centres, palm = ((ours[:, k], theirs[:, k]) for k in map(model.link_names.index, (*CENTRES, PALM)))
+    joint = np.zeros((len(ours), len(theirs)))
+    for a, b in centres:
+        joint += cdist(a[:, :3, 3], b[:, :3, 3])
+    away = cdist(palm[0][:, :3, 3], palm[1][:, :3, 3])
+    p, q = (quaternions(poses[:, :3, :3]) for poses in palm)
+    return ReachDistance(
+        joint_m=warped_sum(joint),
+        task_as_coded_m=warped_sum(away + ORIENTATION_M_PER_RAD * _angle_as_coded(p, q)),
+        task_m=warped_sum(away + ORIENTATION_M_PER_RAD * angles(p, q)),
+    )
 
 
 def quaternions(R: FloatArray) -> FloatArray:
@@ -87,33 +77,17 @@ def quaternions(R: FloatArray) -> FloatArray:
     The sign matters to the distance as coded, and is chosen as the authors' library does: w > 0 where the trace is
     positive, elsewhere the component of the largest diagonal element is positive.
     """
-    quaternion = np.empty((len(R), 4))
+    found = np.roll(Rotation.from_matrix(R).as_quat(), 1, axis=1)
     diagonal = np.diagonal(R, axis1=1, axis2=2)
-    trace = diagonal.sum(axis=1)
-    upright = trace > 0.0
-    some = R[upright]
-    s = np.sqrt(trace[upright] + 1.0)
-    quaternion[upright, 0] = 0.5 * s
-    for k in range(3):
-        a, b = (k + 1) % 3, (k + 2) % 3
-        quaternion[upright, 1 + k] = (some[:, b, a] - some[:, a, b]) * (0.5 / s)
-    largest = np.argmax(diagonal, axis=1)
-    for i in range(3):
-        rows = np.logical_and(~upright, largest == i)
-        j, k = (i + 1) % 3, (i + 2) % 3
-        some = R[rows]
-        s = np.sqrt(some[:, i, i] - some[:, j, j] - some[:, k, k] + 1.0)
-        quaternion[rows, 1 + i] = 0.5 * s
-        quaternion[rows, 0] = (some[:, k, j] - some[:, j, k]) * (0.5 / s)
-        quaternion[rows, 1 + j] = (some[:, j, i] + some[:, i, j]) * (0.5 / s)
-        quaternion[rows, 1 + k] = (some[:, k, i] + some[:, i, k]) * (0.5 / s)
-    return quaternion
+    which = np.where(diagonal.sum(axis=1) > 0.0, 0, 1 + diagonal.argmax(axis=1))
+    signed: FloatArray = found * np.where(found[np.arange(len(R)), which] < 0.0, -1.0, 1.0)[:, None]
+    return signed
 
 
 def angles(p: FloatArray, q: FloatArray) -> FloatArray:
     """Return the angles (n, m) in rad, 0 to pi, between orientations (n, 4) and (m, 4) as unit quaternions."""
     # From the chord, which loses no digits near zero; the nearer of q and -q.
-    chord = np.minimum(_euclidean(p, q), _euclidean(p, -q))
+    chord = np.minimum(cdist(p, q), cdist(p, -q))
     angle: FloatArray = 4.0 * np.arcsin(np.clip(0.5 * chord, 0.0, 1.0))
     return angle
 
@@ -122,11 +96,6 @@ def _angle_as_coded(p: FloatArray, q: FloatArray) -> FloatArray:
     D = 1.0 - np.outer(p[:, 0], q[:, 0]) + p[:, 1:] @ q[:, 1:].T
     angle: FloatArray = np.where(D < _EQUAL, np.arccos(np.clip(2.0 * D**2 - 1.0, -1.0, 1.0)), 0.0)
     return angle
-
-
-def _euclidean(a: FloatArray, b: FloatArray) -> FloatArray:
-    distance: FloatArray = np.linalg.norm(a[:, None] - b[None], axis=-1)
-    return distance
 
 
 def warped_sum(costs: FloatArray) -> float:
@@ -147,10 +116,7 @@ def warped_sum(costs: FloatArray) -> float:
 @exact
 def _warp(costs: FloatArray) -> float:
     n, m = costs.shape
-    row = np.empty(m)
-    row[0] = costs[0, 0]
-    for j in range(1, m):
-        row[j] = row[j - 1] + costs[0, j]
+    row = np.cumsum(costs[0])
     for i in range(1, n):
         diagonal = row[0]
         row[0] += costs[i, 0]

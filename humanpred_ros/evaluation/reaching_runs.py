@@ -9,54 +9,89 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from humanpred_ros.errors import GoalUnreachableError, SettingsError, UsageError
 from humanpred_ros.evaluation.framework import Begin, EvaluationSettings, chosen_names
 from humanpred_ros.evaluation.parallel import map_processes
-from humanpred_ros.evaluation.reach_distances import ReachMetric
+from humanpred_ros.evaluation.reach_distances import ReachDistance, reach_distance
 from humanpred_ros.evaluation.reaching_predictors import (
+    GROUPS,
     REACHING_PREDICTORS,
     REFERENCE,
     WRIST,
     ReachingMaterial,
-    Without,
     reaching_entry,
 )
-from humanpred_ros.evaluation.reaching_scores import (
-    DEMONSTRATIONS,
-    DISTANCES,
-    INTERFERENCE_CASE,
-    ITSELF,
-    PUBLISHED,
-    PUBLISHED_INTERFERENCE,
-    PublishedRow,
-    ReachingSet,
-    Scores,
-)
 from humanpred_ros.evaluation.reaching_weights import (
-    LearnedWeights,
-    Recovery,
-    WeightColumn,
+    ALL,
+    STATISTICS,
     feature_deviation,
     learn_all,
+    recover,
     recovery_figures,
     spread,
-    weight_columns,
+    weight_figures,
 )
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
-from humanpred_ros.reaching.features import N_FEATURES
 from humanpred_ros.reaching.posture_bounds import PostureBounds
 from humanpred_ros.reaching.prediction import ReachTask
 from humanpred_ros.reaching.surroundings import Surroundings
 from humanpred_ros.settings import setting
 
+#: The distances, in the order of columns.
+DISTANCES = ReachDistance._fields
+#: The row that compares each recording with itself: what a perfect prediction scores.
+ITSELF = "itself"
+#: The predictor that others are compared with.
+YARDSTICK = "minimum_jerk"
+#: P2's seven demonstrations in its order, by the names of their files, and its Table I: joint and task as coded, of
+#: weights learned from the demonstration itself.
+TABLE1: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        "0446-0578": (33.17, 44.44),
+        "0525-0657": (37.20, 53.08),
+        "0444-0585": (53.37, 76.26),
+        "0489-0589": (20.95, 31.39),
+        "0780-0871": (21.59, 26.50),
+        "1537-1608": (10.12, 23.62),
+        "2711-2823": (25.56, 45.69),
+    }
+)
+DEMONSTRATIONS = tuple(TABLE1)
+#: The motion of P2's Table III and Fig. 11, as far as can be told.
+INTERFERENCE_CASE = "7395-7595"
+
+
+class PublishedRow(NamedTuple):
+    """Averages over the demonstrations, of 10 runs each, as printed in P2; which predictor of ours is made that way."""
+
+    predictor: str
+    what: str
+    table: str
+    joint_m: float
+    task_as_coded_m: float
+
+
+PUBLISHED_ROWS: tuple[PublishedRow, ...] = (
+    PublishedRow("own", "own weights", "P2 Table I", 28.85, 42.99),
+    PublishedRow("learned", "leave-one-out weights", "P2 Table II", 30.98, 42.18),
+    PublishedRow("baseline_0", "baseline 0", "P2 Table II", 34.06, 45.81),
+    PublishedRow("baseline_1", "baseline 1", "P2 Table II", 64.96, 57.78),
+    PublishedRow("learned_replanned", "leave-one-out weights, re-planned", "P2 Table II", 35.34, 43.56),
+    PublishedRow("baseline_0_replanned", "baseline 0, re-planned", "P2 Table II", 39.55, 48.04),
+    PublishedRow("baseline_1_replanned", "baseline 1, re-planned", "P2 Table II", 81.01, 63.11),
+)
+PUBLISHED_INTERFERENCE: tuple[PublishedRow, ...] = (
+    PublishedRow("learned", "learned weights", "P2 Table III", 52.89, 49.22),
+    PublishedRow("learned_replanned", "learned weights, re-planned", "P2 Table III", 44.91, 36.20),
+)
 #: Single predictions are timed on the reach nearest to this duration, s: so many, after so many to warm up.
 _TIMED_DURATION_S, _TIMED, _WARM_UP = 1.3, 15, 2
 
@@ -85,11 +120,6 @@ class ReachingSettings(EvaluationSettings):
             raise SettingsError(f"samples: wanted numbers of at least 1, ascending, got {', '.join(self.samples)}")
 
     @property
-    def predictors(self) -> tuple[str, ...]:
-        """Names of `REACHING_PREDICTORS` (UsageError for others)."""
-        return chosen_names(self.predictor, REACHING_PREDICTORS, "predictors")
-
-    @property
     def sample_counts(self) -> tuple[int, ...]:
         """Numbers of samples; () for none."""
         if self.samples == ("none",):
@@ -100,34 +130,7 @@ class ReachingSettings(EvaluationSettings):
             raise SettingsError(f"samples: wanted none, or whole numbers, got {', '.join(self.samples)}") from None
 
 
-@dataclass(frozen=True, eq=False)
-class ReachingResult:
-    """All that the evaluation found.
-
-    Attributes:
-        obstacles: names of what stands where the reaches were recorded.
-        sets: the demonstrations, predicted leaving one out, and the interference case if it is there.
-        learned: weights by the names of `reaching_weights.LEARNING`.
-        columns: weights side by side; empty if none were learned.
-        deviation: (24,) standard deviation of each feature over samples; zeros without weights.
-        recovery: P2 Fig. 7; None if it was left out.
-        times: of one prediction alone in one process: predictor, recording, duration_s, median_ms, slowest_ms,
-            processor_ms.
-        elapsed_s: from recordings to figures.
-    """
-
-    obstacles: tuple[str, ...]
-    sets: tuple[ReachingSet, ...]
-    learned: Mapping[str, LearnedWeights]
-    columns: tuple[WeightColumn, ...]
-    deviation: FloatArray
-    recovery: Mapping[str, Any] | None
-    times: tuple[Mapping[str, Any], ...]
-    elapsed_s: float
-
-
-@dataclass(frozen=True)
-class RecordingTask:
+class RecordingTask(NamedTuple):
     """One recording to predict with one predictor, by name, `runs` times."""
 
     predictor: str
@@ -138,8 +141,7 @@ class RecordingTask:
         return f"{self.predictor} on {self.recording.name}"
 
 
-@dataclass(frozen=True, eq=False)
-class RecordingOutcome:
+class RecordingOutcome(NamedTuple):
     """Distances (3, runs) of one task, the wrist's path (n, 3) in the first run, and the time of each run, s."""
 
     distances_m: FloatArray
@@ -147,44 +149,30 @@ class RecordingOutcome:
     times_s: tuple[float, ...]
 
 
-class RecordingRuns:
-    """Does tasks; a worker process keeps it.
+#: Paths (n, 3) of the wrist by predictor and recording; those of `ITSELF` are the recorded ones.
+Paths = Mapping[tuple[str, str], FloatArray]
 
-    Args:
-        material: what predictors are made of.
-        seed: of the runs; run k of any recording and predictor draws from (seed, k).
+
+def predict_recording(material: ReachingMaterial, seed: int, task: RecordingTask) -> RecordingOutcome:
+    """Predict and compare; the predictor has not seen the recording, unless it is one `of_tested`.
+
+    Run k of any recording and predictor draws from (seed, k).
     """
-
-    def __init__(self, material: ReachingMaterial, seed: int) -> None:
-        self._material, self._seed = material, seed
-        self._prepared: dict[str, Without] = {}
-
-    def __reduce__(self) -> tuple[type[RecordingRuns], tuple[ReachingMaterial, int]]:
-        """Leave out what was prepared: predictors need not be picklable."""
-        return RecordingRuns, (self._material, self._seed)
-
-    def __call__(self, task: RecordingTask) -> RecordingOutcome:
-        """Predict and compare; the predictor has not seen the recording, unless it is one `of_tested`."""
-        recording = task.recording
-        if task.predictor not in self._prepared:
-            self._prepared[task.predictor] = reaching_entry(task.predictor).prepare(self._material)
-        predictor, reach = self._prepared[task.predictor](recording.name), ReachTask.of(recording)
-        reaches, times_s = [], []
-        for run in range(task.runs):
-            rng = np.random.default_rng([self._seed, run])
-            begin = time.perf_counter()
-            reaches.append(predictor.predict(reach, rng))
-            times_s.append(time.perf_counter() - begin)
-        return _compared(reaches, recording, self._material.model, tuple(times_s))
+    predictor = reaching_entry(task.predictor).make(material, task.recording.name)
+    reach, reaches, times_s = ReachTask.of(task.recording), [], []
+    for run in range(task.runs):
+        rng = np.random.default_rng([seed, run])
+        begin = time.perf_counter()
+        reaches.append(predictor.predict(reach, rng))
+        times_s.append(time.perf_counter() - begin)
+    return _compared(reaches, task.recording, material.model, tuple(times_s))
 
 
 def _compared(
     reaches: Sequence[FloatArray], recording: ReachRecording, model: HumanModel, times_s: tuple[float, ...]
 ) -> RecordingOutcome:
-    metric = ReachMetric(model)
-    found = [metric.between(q, recording.active.q) for q in reaches]
-    distances = np.array([[getattr(distance, name) for distance in found] for name in DISTANCES])
-    return RecordingOutcome(distances, model.forward(reaches[0])[WRIST], times_s)
+    distances = np.array([reach_distance(model, q, recording.active.q) for q in reaches])
+    return RecordingOutcome(distances.T, model.forward(reaches[0])[WRIST], times_s)
 
 
 def evaluate(
@@ -192,16 +180,16 @@ def evaluate(
     interference: Sequence[ReachRecording],
     settings: ReachingSettings,
     begin: Begin,
-    model: HumanModel | None = None,
-) -> ReachingResult:
-    """Predict all recordings with all predictors.
+    model: HumanModel,
+) -> tuple[dict[str, Any], Paths]:
+    """Predict all recordings with all predictors; return the figures, as in the JSON file, and the wrists' paths.
 
     Args:
         recordings: demonstrations, each predicted from the others.
         interference: reaches that the partner is in the way of, predicted from all demonstrations; may be none.
         settings: what is evaluated.
         begin: begins a line of progress.
-        model: the human; P2's 23-DoF human if None.
+        model: the human.
 
     Raises:
         UsageError: fewer than two recordings, so that none could be left out, or unknown predictors.
@@ -215,46 +203,47 @@ def evaluate(
     known = {recording.name for recording in recordings}
     if twice := [recording.name for recording in interference if recording.name in known]:
         raise UsageError(f"interference case: wanted recordings not learned from, got {', '.join(twice)} again")
-    predictors, model = settings.predictors, model or HumanModel.mocap23()
+    predictors = chosen_names(settings.predictor, REACHING_PREDICTORS, "predictors")
     ordered = sorted(recordings, key=_papers_order)
-    hands_m = [model.forward(recording.active.q)[WRIST] for recording in ordered]
-    surroundings = Surroundings.around_hands(np.concatenate(hands_m))
-    ways = [how for how in dict.fromkeys(reaching_entry(name).learns for name in predictors) if how is not None]
+    surroundings = Surroundings.around_hands(np.concatenate([model.forward(r.active.q)[WRIST] for r in ordered]))
+    ways = dict.fromkeys(how for how in (reaching_entry(name).learns for name in predictors) if how is not None)
     learned = {how: learn_all(ordered, model, how, settings.seed, surroundings) for how in ways}
-    material = ReachingMaterial(ordered, model, {how: each.table for how, each in learned.items()}, surroundings)
-    times = tuple(_prediction_times(predictors, ordered, material))
+    weights = {how: {ALL: found.everything.weights, **found.each} for how, found in learned.items()}
+    material = ReachingMaterial(ordered, model, weights, surroundings)
+    times = list(_prediction_times(predictors, ordered, material))
 
     tasks = sorted(_tasks(ordered, interference, predictors, settings.runs), key=_length, reverse=True)
-    outcomes = map_processes(
-        RecordingRuns(material, settings.seed), tasks, settings.jobs, begin("predicted", len(tasks)), settings.scheduler
-    )
+    predict, advance = partial(predict_recording, material, settings.seed), begin("predicted", len(tasks))
+    outcomes = map_processes(predict, tasks, settings.jobs, advance, settings.scheduler)
     found = {(task.predictor, task.recording.name): done for task, done in zip(tasks, outcomes, strict=True)}
-    recovery, counts = None, settings.sample_counts if "learned" in predictors else ()
-    if counts:
+    found |= {
+        (ITSELF, each.name): _compared([each.active.q], each, model, (np.nan,)) for each in (*ordered, *interference)
+    }
+    recovery = None
+    if "learned" in predictors and settings.sample_counts:
         runs = map_processes(
-            Recovery(ordered, model, counts, settings.seed), range(settings.repetitions), settings.jobs,
-            begin("known weights learned", settings.repetitions), settings.scheduler,
+            partial(recover, ordered, model, settings.sample_counts, settings.seed), range(settings.repetitions),
+            settings.jobs, begin("known weights learned", settings.repetitions), settings.scheduler,
         )  # fmt: skip
-        recovery = recovery_figures(runs, counts)
+        recovery = recovery_figures(runs, settings.sample_counts)
 
-    deviation = feature_deviation(ordered, model, settings.seed) if learned else np.zeros(N_FEATURES)
-    make_set = partial(_set_of, found=found, predictors=predictors, learned_from=ordered, model=model)
-    published = PUBLISHED if known == set(DEMONSTRATIONS) else ()
-    sets = [make_set("each predicted from the others", ordered, published=published, left_out=True)]
+    facts = partial(_facts, learned_from=ordered, model=model)
+    rows = PUBLISHED_ROWS if known == set(DEMONSTRATIONS) else ()
+    sets = [_set_of("each predicted from the others", list(map(facts, ordered)), found, predictors, rows, True)]
     if interference:
-        papers = [recording.name for recording in interference] == [INTERFERENCE_CASE]
+        rows = PUBLISHED_INTERFERENCE if [each.name for each in interference] == [INTERFERENCE_CASE] else ()
         title = "partner in the way, predicted from all the demonstrations"
-        sets.append(make_set(title, interference, published=PUBLISHED_INTERFERENCE if papers else (), left_out=False))
-    return ReachingResult(
-        obstacles=tuple(obstacle.name for obstacle in surroundings.obstacles),
-        sets=tuple(sets),
-        learned=learned,
-        columns=weight_columns(learned, deviation) if learned else (),
-        deviation=deviation,
-        recovery=recovery,
-        times=times,
-        elapsed_s=time.perf_counter() - began_s,
-    )
+        sets.append(_set_of(title, list(map(facts, interference)), found, predictors, rows, False))
+    figures = {
+        "obstacles": [obstacle.name for obstacle in surroundings.obstacles],
+        "sets": sets,
+        "table1": {recording.name: TABLE1[recording.name] for recording in ordered if recording.name in TABLE1},
+        "weights": weight_figures(learned, feature_deviation(ordered, model, settings.seed)) if learned else None,
+        "recovery": recovery,
+        "times": times,
+        "elapsed_s": time.perf_counter() - began_s,
+    }
+    return figures, {key: outcome.wrist_m for key, outcome in found.items()}
 
 
 def _papers_order(recording: ReachRecording) -> tuple[int, str]:
@@ -275,7 +264,7 @@ def _tasks(
 def _length(task: RecordingTask) -> float:
     """Return about how long a task takes; a single plan takes as long for any duration, re-plans come every 0.1 s."""
     entry = reaching_entry(task.predictor)
-    return task.runs * (task.recording.active.duration_s if entry.replanned else 0.1 if entry.by_chance else 0.0)
+    return task.runs * (task.recording.active.duration_s if entry.step_s else 0.1 if entry.by_chance else 0.0)
 
 
 def _prediction_times(
@@ -286,9 +275,9 @@ def _prediction_times(
     reach = ReachTask.of(recording)
     for name in names:
         entry = reaching_entry(name)
-        if not entry.by_chance or entry.replanned:
+        if not entry.by_chance or entry.step_s:
             continue
-        predictor = entry.prepare(material)(recording.name)
+        predictor = entry.make(material, recording.name)
         spent = []
         for run in range(_WARM_UP + _TIMED):
             rng = np.random.default_rng(run)
@@ -306,65 +295,99 @@ def _prediction_times(
         }
 
 
+def _facts(recording: ReachRecording, learned_from: Sequence[ReachRecording], model: HumanModel) -> dict[str, Any]:
+    """Return what is told of a recording; a goal beyond what predictors have seen is predicted all the same."""
+    others = [other for other in learned_from if other.name != recording.name]
+    try:
+        beyond = PostureBounds.from_recordings(others, model).check_goal(recording.name, recording.active.q[-1])
+    except GoalUnreachableError as far:
+        beyond = (str(far),)
+    return {
+        "name": recording.name,
+        "n_frames": len(recording.active),
+        "duration_s": recording.active.duration_s,
+        "unfit": recording.unfit,
+        "notes": [*recording.notes, *(text.removeprefix(f"{recording.name}: ") for text in beyond)],
+    }
+
+
 def _set_of(
     title: str,
-    recordings: Sequence[ReachRecording],
-    *,
+    recordings: Sequence[Mapping[str, Any]],
     found: Mapping[tuple[str, str], RecordingOutcome],
     predictors: Sequence[str],
     published: Sequence[PublishedRow],
     left_out: bool,
-    learned_from: Sequence[ReachRecording],
-    model: HumanModel,
-) -> ReachingSet:
-    """Return the scores of all predictors on some recordings, and of each recording compared with itself."""
-    scores = []
-    for name in predictors:
-        entry = reaching_entry(name)
-        if left_out or not entry.of_tested:
-            outcomes = [found[name, recording.name] for recording in recordings]
-            scores.append(_scores(name, entry.description, entry.group, outcomes))
-    perfect = [_compared([recording.active.q], recording, model, (np.nan,)) for recording in recordings]
-    scores.append(_scores(ITSELF, "the recording itself: a perfect prediction", REFERENCE, perfect))
-    return ReachingSet(
-        title=title,
-        recordings=tuple(
-            {
-                "name": recording.name,
-                "n_frames": len(recording.active),
-                "duration_s": recording.active.duration_s,
-                "unfit": recording.unfit,
-                "notes": [*recording.notes, *_beyond(recording, learned_from, model)],
-            }
-            for recording in recordings
-        ),
-        wrist_m=tuple(outcome.wrist_m for outcome in perfect),
-        scores=tuple(scores),
-        published=tuple(published),
-        left_out=left_out,
-    )
+) -> dict[str, Any]:
+    """Return the scores of all predictors on some recordings, and of each recording compared with itself.
+
+    `left_out` says whether predictors had learned from all recordings but the tested one; otherwise from others.
+    """
+    fit = np.array([facts["unfit"] is None for facts in recordings])
+
+    def scores(name: str, description: str, group: str) -> dict[str, Any]:
+        outcomes = [found[name, facts["name"]] for facts in recordings]
+        values = np.array([spread(outcome.distances_m) for outcome in outcomes])
+        return {
+            "name": name,
+            "description": description,
+            "group": group,
+            "runs": len(outcomes[0].times_s),
+            "recordings": [
+                {"recording": facts["name"], "figures": _by_distance(each)}
+                for facts, each in zip(recordings, values, strict=True)
+            ],
+            # Averages over the recordings, which is how P2's averages are made.
+            "average": _by_distance(values.mean(axis=0)),
+            "average_fit": _by_distance(values[fit].mean(axis=0)) if fit.any() else None,
+            "predict_ms": 1e3 * float(np.median(np.concatenate([outcome.times_s for outcome in outcomes]))),
+        }
+
+    entries = {name: reaching_entry(name) for name in predictors}
+    tested = [(name, e.description, e.group) for name, e in entries.items() if left_out or not e.of_tested]
+    tested.append((ITSELF, "the recording itself: a perfect prediction", REFERENCE))
+    return {
+        "title": title,
+        "recordings": recordings,
+        "predictors": [scores(*each) for each in tested],
+        "published": [row._asdict() for row in published],
+        "left_out": left_out,
+    }
 
 
-def _scores(name: str, description: str, group: str, outcomes: Sequence[RecordingOutcome]) -> Scores:
-    times_s = np.concatenate([outcome.times_s for outcome in outcomes])
-    return Scores(
-        name=name,
-        description=description,
-        group=group,
-        runs=len(outcomes[0].times_s),
-        values=np.array([spread(outcome.distances_m) for outcome in outcomes]),
-        wrist_m=tuple(outcome.wrist_m for outcome in outcomes),
-        predict_ms=1e3 * float(np.median(times_s)),
-    )
+def _by_distance(values: FloatArray) -> dict[str, dict[str, float]]:
+    """Return statistics (4, 3) of the distances by name."""
+    return {name: dict(zip(STATISTICS, values[:, k].tolist(), strict=True)) for k, name in enumerate(DISTANCES)}
 
 
-def _beyond(recording: ReachRecording, learned_from: Sequence[ReachRecording], model: HumanModel) -> tuple[str, ...]:
-    """Return notes on a goal that is beyond what predictors have seen; it is predicted all the same."""
-    others = [other for other in learned_from if other.name != recording.name]
-    if not others:
-        return ()
-    try:
-        notes = PostureBounds.from_recordings(others, model).check_goal(recording.name, recording.active.q[-1])
-    except GoalUnreachableError as far:
-        notes = (str(far),)
-    return tuple(text.removeprefix(f"{recording.name}: ") for text in notes)
+def by_group(entry: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the scores of a set's predictors, those of one kind side by side."""
+    return sorted(entry["predictors"], key=lambda predictor: GROUPS.index(predictor["group"]))
+
+
+def score_of(entry: Mapping[str, Any], name: str) -> dict[str, Any] | None:
+    """Return the scores of a predictor in a set, None if it was not run."""
+    return next((predictor for predictor in entry["predictors"] if predictor["name"] == name), None)
+
+
+def published_of(entry: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return what P2 published of a predictor that is made the same way; empty if nothing."""
+    return next((row for row in entry["published"] if row["predictor"] == name), {})
+
+
+def many(entry: Mapping[str, Any]) -> str:
+    """Return how many reaches a set has, in words."""
+    return "1 reach" if len(entry["recordings"]) == 1 else f"{len(entry['recordings'])} reaches"
+
+
+def means(predictor: Mapping[str, Any], distance: str) -> list[float]:
+    """Return a predictor's distance of each recording, mean over the runs."""
+    return [each["figures"][distance]["mean"] for each in predictor["recordings"]]
+
+
+def wins(entry: Mapping[str, Any], name: str, distance: str) -> int | None:
+    """Return on how many recordings a predictor is better than the yardstick; None if one was not run."""
+    ours, theirs = score_of(entry, name), score_of(entry, YARDSTICK)
+    if ours is None or theirs is None:
+        return None
+    return sum(a < b for a, b in zip(means(ours, distance), means(theirs, distance), strict=True))

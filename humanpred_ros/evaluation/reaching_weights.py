@@ -22,7 +22,7 @@ from humanpred_ros.geometry.checks import FloatArray, frozen
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
 from humanpred_ros.reaching.demonstrations import Demonstration, demonstration, demonstrations
-from humanpred_ros.reaching.features import DISTANCE_NAMES, N_SMOOTHNESS, NAMED_WEIGHTS, ReachFeatures
+from humanpred_ros.reaching.features import DISTANCE_NAMES, FEATURE_NAMES, N_SMOOTHNESS, NAMED_WEIGHTS, ReachFeatures
 from humanpred_ros.reaching.first_guess import straight_line
 from humanpred_ros.reaching.learner import LearningSettings, ReachLearner
 from humanpred_ros.reaching.piirl import Contrast, PiirlSettings, contrasts, learn_weights
@@ -49,27 +49,17 @@ LEARNING: Mapping[str, LearningSettings] = MappingProxyType(
         ),
     }
 )
+#: The key of the weights from all recordings among those by recording.
+ALL = ""
+#: Names of what `spread` returns.
+STATISTICS = ("mean", "sd", "low", "high")
 #: Samples of each demonstration that say how much a feature varies.
 _N_SAMPLES = 200
 
 
-@dataclass(frozen=True, eq=False)
-class WeightTable:
-    """Weights (24,) learned in one way, as plain arrays: what predictors need.
-
-    Attributes:
-        everything: from all recordings.
-        left_out: from all but one, by its name.
-        alone: from one, by its name; empty where that is not wanted.
-    """
-
-    everything: FloatArray
-    left_out: Mapping[str, FloatArray]
-    alone: Mapping[str, FloatArray]
-
-    def without(self, name: str) -> FloatArray:
-        """Return the weights that have not seen the recording `name`."""
-        return self.left_out.get(name, self.everything)
+def spread(values: FloatArray) -> FloatArray:
+    """Return what P2 prints of runs (..., K): mean, population standard deviation, least and largest (4, ...)."""
+    return np.stack([values.mean(axis=-1), values.std(axis=-1), values.min(axis=-1), values.max(axis=-1)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,15 +67,15 @@ class LearnedWeights:
     """What was learned in one way, and how certain it is.
 
     Attributes:
-        table: the weights.
-        everything: those from all recordings, with bootstrap and provenance.
+        everything: the weights from all recordings, with bootstrap and provenance.
+        each: (24,) by recording: learned from all others; with `ALONE` from that one.
         notes: what learning reported about the recordings.
         learn_s: time that `everything` took: samples, their features, weights and bootstrap.
         processor_s: the same as processor time, which other work on the machine changes less.
     """
 
-    table: WeightTable
     everything: ReachWeights
+    each: Mapping[str, FloatArray]
     notes: tuple[str, ...]
     learn_s: float
     processor_s: float
@@ -98,7 +88,7 @@ def learn_all(
     seed: int,
     surroundings: Surroundings | None = None,
 ) -> LearnedWeights:
-    """Learn from all recordings (at least two), from all but each and, for `ALONE`, from each.
+    """Learn from all recordings (at least two), and from all but each or, for `ALONE`, from each.
 
     Recordings with jumps are learned from after all where there are no others, with a warning.
 
@@ -124,44 +114,23 @@ def learn_all(
         learner = less_strict()
     everything = learner.learn()
     learn_s, processor_s = time.perf_counter() - begin, time.process_time() - processor_begin
-    names = [recording.name for recording in recordings]
-
-    def learned(some: Sequence[str]) -> FloatArray:
-        if set(some) & set(learner.names):
-            return learner.learn(some, bootstrap=False).weights
-        _log.warning("%s: nothing else to learn from; learned from all the same", ", ".join(some))
-        return less_strict().learn(some, bootstrap=False).weights
-
-    table = WeightTable(
-        everything.weights,
-        {name: learned([other for other in names if other != name]) for name in names},
-        {name: learned([name]) for name in names} if how == ALONE else {},
-    )
-    return LearnedWeights(table, everything, learner.notes, learn_s, processor_s)
+    each = {}
+    for name in (recording.name for recording in recordings):
+        some = [other.name for other in recordings if (other.name == name) == (how == ALONE)]
+        able = learner
+        if not set(some) & set(learner.names):
+            _log.warning("%s: nothing else to learn from; learned from all the same", ", ".join(some))
+            able = less_strict()
+        each[name] = able.learn(some, bootstrap=False).weights
+    return LearnedWeights(everything, each, learner.notes, learn_s, processor_s)
 
 
-@dataclass(frozen=True, eq=False)
-class WeightColumn:
-    """One set of weights.
+def weight_columns(learned: Mapping[str, LearnedWeights], deviation: FloatArray) -> list[dict[str, Any]]:
+    """Return the weights that were learned, by the names of `LEARNING`, and the published ones, side by side.
 
-    Attributes:
-        name, description: which.
-        weights: (24,) of `FEATURE_NAMES`.
-        spread: (24,) standard deviation of what `description` says; None where it is not known.
-        at_upper: names of the weights that their bound stopped.
-        influence: (24,) shares that sum to 1.
+    Each has name, description, weights (24,), spread (24,) as standard deviation of what the description says (None
+    where it is not known), at_upper with the features whose bound stopped them, and influence (24,).
     """
-
-    name: str
-    description: str
-    weights: FloatArray
-    spread: FloatArray | None
-    at_upper: tuple[str, ...]
-    influence: FloatArray
-
-
-def weight_columns(learned: Mapping[str, LearnedWeights], deviation: FloatArray) -> tuple[WeightColumn, ...]:
-    """Return the weights that were learned, by the names of `LEARNING`, and the published ones; see `influence`."""
     found: list[tuple[str, str, FloatArray, FloatArray | None, tuple[str, ...]]] = []
     for how, text in (
         (PUBLISHED, "P2's way, all recordings"),
@@ -172,13 +141,14 @@ def weight_columns(learned: Mapping[str, LearnedWeights], deviation: FloatArray)
             text += f", ± over {len(all_.bootstrap)} bootstrap draws of them"
             found.append((how, text, all_.weights, all_.spread, all_.at_upper))
     if ALONE in learned:
-        each = np.array(list(learned[ALONE].table.alone.values()))
+        each = np.array(list(learned[ALONE].each.values()))
         text = f"P2's way, from one whole recording each; mean ± over {len(each)} recordings"
         found.append((ALONE, text, each.mean(axis=0), each.std(axis=0), ()))
     for name, cuts in (("authors_static", "without cuts"), ("authors_dynamic", "with cuts")):
         text = f"learned by P2's authors from one of the seven each, {cuts}; mean"
         found.append((name, text, NAMED_WEIGHTS[name], None, ()))
-    return tuple(WeightColumn(*row, influence(row[2], deviation)) for row in found)
+    keys = ("name", "description", "weights", "spread", "at_upper", "influence")
+    return [dict(zip(keys, (*row, influence(row[2], deviation)), strict=True)) for row in found]
 
 
 def influence(weights: FloatArray, deviation: FloatArray) -> FloatArray:
@@ -198,6 +168,33 @@ def feature_deviation(recordings: Sequence[ReachRecording], model: HumanModel, s
     squares = np.mean([contrast.differences.var(axis=0) for contrast in found], axis=0)
     deviation: FloatArray = np.sqrt(squares)
     return deviation
+
+
+def weight_figures(learned: Mapping[str, LearnedWeights], deviation: FloatArray) -> dict[str, Any]:
+    """Return what was learned; deviation (24,) is the standard deviation of each feature over samples."""
+    left_out = []
+    for how, found in learned.items():
+        if how != ALONE:
+            values = np.array(list(found.each.values()))
+            left_out.append(
+                {
+                    "how": how,
+                    "recordings": list(found.each),
+                    "weights": values,
+                    "influence": influence(values, deviation),
+                }
+            )
+    return {
+        "features": FEATURE_NAMES,
+        "deviation": deviation,
+        "upper": LEARNING[PUBLISHED].piirl.upper,
+        "columns": weight_columns(learned, deviation),
+        "left_out": left_out,
+        "provenance": {how: each.everything.provenance for how, each in learned.items()},
+        "notes": {how: each.notes for how, each in learned.items()},
+        "learn_s": {how: each.learn_s for how, each in learned.items()},
+        "processor_s": {how: each.processor_s for how, each in learned.items()},
+    }
 
 
 #: P2's hand-tuned weights of the 16 distances; its smoothness weights for Fig. 7 are not known.
@@ -221,23 +218,10 @@ def known_weights() -> FloatArray:
     return frozen(weights)  # type: ignore[return-value]
 
 
-@dataclass(frozen=True, eq=False)
-class RecoveryRun:
-    """One repetition: by how much reaches cost more than the demonstrations, by the known weights, as shares.
-
-    Attributes:
-        learned: (K, D) of reaches planned with learned weights, by method.
-        best_sample: (K, D) of the best sample.
-        line: (D,) of the straight line that planning begins with, which is also what baseline 0 plans.
-    """
-
-    learned: Mapping[str, FloatArray]
-    best_sample: FloatArray
-    line: FloatArray
-
-
-class Recovery:
-    """Learns known weights again from more and more samples (P2 Fig. 7); a worker process keeps it.
+def recover(
+    recordings: Sequence[ReachRecording], model: HumanModel, samples: Sequence[int], seed: int, repetition: int
+) -> dict[str, Any]:
+    """Learn known weights again from more and more samples, once (P2 Fig. 7).
 
     The recorded people's weights are unknown, so demonstrations are made: reaches planned with known weights between
     the recorded ends, beside the recorded partners. From these weights are learned; reaches planned with the learned
@@ -248,83 +232,68 @@ class Recovery:
         recordings: ends, durations and partners of the demonstrations to make.
         model: the human.
         samples: numbers of samples around each demonstration, ascending.
-        seed: repetition r draws from (seed, r, ..).
+        seed: of all repetitions.
+        repetition: its number; it draws from (seed, repetition, ..).
+
+    Returns:
+        By how much reaches cost more than the demonstrations, by the known weights, as shares: "learned" (K, D) of
+        reaches planned with learned weights, by method; "best_sample" (K, D); and "line" (D,) of the straight line
+        that planning begins with, which is also what baseline 0 plans.
     """
+    bounds = PostureBounds.from_recordings(recordings, model)
+    features, known = ReachFeatures(model), known_weights()
 
-    def __init__(
-        self, recordings: Sequence[ReachRecording], model: HumanModel, samples: Sequence[int], seed: int
-    ) -> None:
-        self._recordings, self._model, self._samples, self._seed = tuple(recordings), model, tuple(samples), seed
-        self._bounds = PostureBounds.from_recordings(recordings, model)
-
-    def __call__(self, repetition: int) -> RecoveryRun:
-        """Make demonstrations, learn from more and more samples, plan again and compare."""
-        features, known = ReachFeatures(self._model), known_weights()
-        demos = []
-        for number, recording in enumerate(self._recordings):
-            situation = demonstration(recording, features).situation
-            demos.append(Demonstration(recording.name, 0, self._planned(known, number, repetition), situation))
-        costs = np.array([features.values(demo.q, demo.situation) @ known for demo in demos])
-
-        def more(reaches: Sequence[FloatArray]) -> FloatArray:
-            found = [features.values(q, demo.situation) @ known for q, demo in zip(reaches, demos, strict=True)]
-            shares: FloatArray = np.array(found) / costs - 1.0
-            return shares
-
-        sampling = LEARNING[PUBLISHED].sampling.replaced(n_samples=max(self._samples))
-        drawn = contrasts(demos, features, sampling, np.random.default_rng([self._seed, repetition]))
-        learned: dict[str, list[FloatArray]] = {how: [] for how in METHODS}
-        best = []
-        for count in self._samples:
-            some = [Contrast(c.demonstration, c.recording, c.differences[:count]) for c in drawn]
-            best.append(np.array([(c.differences @ known).min() for c in some]) / costs)
-            for how, piirl in METHODS.items():
-                weights = learn_weights(some, piirl).weights
-                learned[how].append(more([self._planned(weights, d, repetition) for d in range(len(demos))]))
-        phase = np.linspace(0.0, 1.0, features.settings.n_waypoints)
-        return RecoveryRun(
-            learned={how: np.array(shares) for how, shares in learned.items()},
-            best_sample=np.array(best),
-            line=more([straight_line(demo.q[0], demo.q[-1], phase) for demo in demos]),
-        )
-
-    def _planned(self, weights: FloatArray, number: int, repetition: int) -> FloatArray:
-        recording = self._recordings[number]
-        planner = ReachPlanner(self._model, weights, self._bounds, settings=ReachPlannerSettings(obstacle_weight=0.0))
-        rng = np.random.default_rng([self._seed, repetition, number])
+    def planned(weights: FloatArray, number: int) -> FloatArray:
+        recording = recordings[number]
+        planner = ReachPlanner(model, weights, bounds, settings=ReachPlannerSettings(obstacle_weight=0.0))
+        rng = np.random.default_rng([seed, repetition, number])
         ends, partner = recording.active.q[[0, -1]], planner.partner(recording.passive.q[0])
         return planner.plan(ends[0], ends[1], recording.active.duration_s, partner, rng).q
 
+    demos = [
+        Demonstration(each.name, 0, planned(known, number), demonstration(each, features).situation)
+        for number, each in enumerate(recordings)
+    ]
+    costs = np.array([features.values(demo.q, demo.situation) @ known for demo in demos])
 
-def recovery_figures(runs: Sequence[RecoveryRun], samples: Sequence[int]) -> dict[str, Any]:
-    """Return P2's Fig. 7: cost differences, in percent of the demonstrations' cost.
+    def more(reaches: Sequence[FloatArray]) -> FloatArray:
+        found = [features.values(q, demo.situation) @ known for q, demo in zip(reaches, demos, strict=True)]
+        shares: FloatArray = np.array(found) / costs - 1.0
+        return shares
+
+    sampling = LEARNING[PUBLISHED].sampling.replaced(n_samples=max(samples))
+    drawn = contrasts(demos, features, sampling, np.random.default_rng([seed, repetition]))
+    learned: dict[str, list[FloatArray]] = {how: [] for how in METHODS}
+    best = []
+    for count in samples:
+        some = [Contrast(c.demonstration, c.recording, c.differences[:count]) for c in drawn]
+        best.append(np.array([(c.differences @ known).min() for c in some]) / costs)
+        for how, piirl in METHODS.items():
+            weights = learn_weights(some, piirl).weights
+            learned[how].append(more([planned(weights, number) for number in range(len(demos))]))
+    phase = np.linspace(0.0, 1.0, features.settings.n_waypoints)
+    return {
+        "learned": {how: np.array(shares) for how, shares in learned.items()},
+        "best_sample": np.array(best),
+        "line": more([straight_line(demo.q[0], demo.q[-1], phase) for demo in demos]),
+    }
+
+
+def recovery_figures(runs: Sequence[Mapping[str, Any]], samples: Sequence[int]) -> dict[str, Any]:
+    """Return P2's Fig. 7 of runs of `recover`: cost differences, in percent of the demonstrations' cost.
 
     Statistics (mean, sd, low, high) are over repetitions, of the mean over demonstrations: "learned" by method, and
     "best_sample", one for each number of samples; "line" one.
     """
 
     def over(shares: Sequence[FloatArray]) -> dict[str, float]:
-        return statistic(np.array([100.0 * float(share.mean()) for share in shares]))
+        return dict(zip(STATISTICS, spread(100.0 * np.array([each.mean() for each in shares])).tolist(), strict=True))
 
     count = range(len(samples))
     return {
         "samples": list(samples),
-        "demonstrations": len(runs[0].line),
-        "learned": {how: [over([run.learned[how][k] for run in runs]) for k in count] for how in runs[0].learned},
-        "best_sample": [over([run.best_sample[k] for run in runs]) for k in count],
-        "line": over([run.line for run in runs]),
+        "demonstrations": len(runs[0]["line"]),
+        "learned": {how: [over([run["learned"][how][k] for run in runs]) for k in count] for how in runs[0]["learned"]},
+        "best_sample": [over([run["best_sample"][k] for run in runs]) for k in count],
+        "line": over([run["line"] for run in runs]),
     }
-
-
-def statistic(values: FloatArray) -> dict[str, float]:
-    """Return what P2 prints of runs: mean, population standard deviation, least, largest."""
-    return dict(zip(STATISTICS, (float(f) for f in spread(values)), strict=True))
-
-
-#: Names of what `spread` returns.
-STATISTICS = ("mean", "sd", "low", "high")
-
-
-def spread(values: FloatArray) -> FloatArray:
-    """Return mean, population standard deviation, least and largest (4, ...) of values (..., K)."""
-    return np.stack([values.mean(axis=-1), values.std(axis=-1), values.min(axis=-1), values.max(axis=-1)])

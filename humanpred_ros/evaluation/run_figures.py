@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -119,21 +118,12 @@ class RunEvaluator:
         arm = scene.arm
         offsets_ns, postures = motion.timeline(n_held)
         self.t_s: FloatArray = np.array(offsets_ns) * 1e-9
-        self.postures = postures
+        #: Distances to the postures at `t_s`.
+        self.meter = SeparationMeter(arm, human, scene.T_world_human, postures)
         n = arm.chain.n_joints
         self.weights = np.array([float(arm.configuration_distance(np.zeros(n), unit)) for unit in np.eye(n)])
         self._final = HumanOccupancyCost(arm.chain, arm.body_points(), final)
         self._swept = HumanOccupancyCost(arm.chain, arm.body_points(), swept)
-
-    @cached_property
-    def meter(self) -> SeparationMeter:
-        """Distances to the postures at `t_s`."""
-        return SeparationMeter(self.scene.arm, self.human, self.scene.T_world_human, self.postures)
-
-    def path_cost(self, path: FloatArray, *, swept: bool = False) -> float:
-        """Return the cost of a path (N, D) under the final prediction, or under what was really swept."""
-        term = self._swept if swept else self._final
-        return executed_cost(term, path, self.weights)
 
     def figures(self, method: str, seed: int, executed: ExecutedMotion, decisions: Sequence[Decision]) -> RunFigures:
         """Return the figures of one run."""
@@ -141,36 +131,40 @@ class RunEvaluator:
         rest_s = executed.rests_since()
         # Nobody saw what happened after the person's last posture.
         goal = goal_reached(self.scene, executed.q_end) if rest_s <= self.t_s[-1] else None
-        clearance, obstacle = self._clearance(path)
+        clearance = self.clearance_m(path)
+        nearest = min(clearance, key=lambda name: clearance[name])
         # Once both rest, nothing comes closer; the end of the motion counts even if the arm arrives before.
         until = int(np.searchsorted(self.t_s, max(rest_s, self.motion.duration_s))) + 1
         q_arm = executed.at(self.t_s)
         apart = self.meter.measure(q_arm)
         apart = Separation(apart.distance_m[:until], apart.part[:until], apart.body[:until])
-        closest = int(np.argmin(apart.distance_m))
         steps = [decision for decision in decisions if decision.goals]
         compute = [decision.compute_s for decision in steps if decision.compute_s > 0.0]
+        replans, holds, evasions = (
+            sum(decision.action == action and decision.trajectory is not None for decision in decisions)
+            for action in (REPLAN, HOLD, EVADE)
+        )
         return RunFigures(
             scene=self.scene.name,
             motion=self.motion.name,
             method=method,
             seed=seed,
-            cost=self.path_cost(path),
-            cost_swept=self.path_cost(path, swept=True),
+            cost=executed_cost(self._final, path, self.weights),
+            cost_swept=executed_cost(self._swept, path, self.weights),
             length=float(path_parameter(path, self.weights)[-1]),
             goal=goal,
             time_to_goal_s=rest_s if goal is not None else np.inf,
             execution_s=max(0.0, rest_s - executed.departure_s),
-            clearance_m=clearance,
-            clearance_to=obstacle,
+            clearance_m=clearance[nearest],
+            clearance_to=nearest,
             least_distance_m=apart.least_m,
-            least_distance_s=float(self.t_s[closest]),
+            least_distance_s=float(self.t_s[np.argmin(apart.distance_m)]),
             contact=self._contact(apart, q_arm),
             steps=len(steps),
-            replans=_begun(decisions, REPLAN),
+            replans=replans,
             switches=sum(decision.switched for decision in decisions),
-            holds=_begun(decisions, HOLD),
-            evasions=_begun(decisions, EVADE),
+            holds=holds,
+            evasions=evasions,
             ended=f"{decisions[-1].action}: {decisions[-1].reason}" if decisions else "",
             step_ms=1e3 * float(np.median(compute)) if compute else np.nan,
         )
@@ -179,52 +173,39 @@ class RunEvaluator:
         """Return the distance of an arm at rest at `q` (D,) to the person in one posture, counted from 0."""
         return float(self.meter.measure(np.repeat(q[None], len(self.t_s), axis=0)).distance_m[posture])
 
-    def _clearance(self, path: FloatArray) -> tuple[float, str]:
-        """Return the least distance of the arm's spheres to table and objects over a path, and to which."""
+    def clearance_m(self, path: FloatArray) -> dict[str, float]:
+        """Return the least distance of the arm's spheres to each of table and objects over a path (N, D), by name."""
         spheres = self.scene.arm.spheres()
         centres = spheres.world_m(self.scene.arm.chain, path)
-        least = [
-            (float((obstacle.shape.distance(centres) - spheres.radius_m).min()), obstacle.name)
+        return {
+            obstacle.name: float((obstacle.shape.distance(centres) - spheres.radius_m).min())
             for obstacle in self.scene.obstacles
-        ]
-        return min(least)
+        }
 
     def _contact(self, apart: Separation, q_arm: FloatArray) -> Contact | None:
         touching = np.flatnonzero(apart.distance_m <= 0.0)
         if not len(touching):
             return None
         k = int(touching[0])
-        since = int(np.searchsorted(self.t_s, self.t_s[k] - _CLOSING_S))
-        by_human, by_arm = self._closing(q_arm, since, k)
+        # The human moves from one posture to the next while the arm stays, then the arm follows.
+        moves = np.arange(int(np.searchsorted(self.t_s, self.t_s[k] - _CLOSING_S)) + 1, k + 1)
+        before = self.meter.measure(q_arm).distance_m
+        between = self.meter.measure(np.concatenate([q_arm[:1], q_arm[:-1]])).distance_m
+        by_human = float((before[moves - 1] - between[moves]).sum())
+        by_arm = float((between[moves] - before[moves]).sum())
         total = max(by_human, 0.0) + max(by_arm, 0.0)
         movers = [name for name, by in (("human", by_human), ("arm", by_arm)) if total > 0.0 and by > 0.25 * total]
-        link = int(self.scene.arm.spheres().link[apart.part[k]])
         surface = self.meter.measure_surface(q_arm).distance_m[: len(apart.distance_m)]
         return Contact(
             t_s=float(self.t_s[k]),
             deepest_m=apart.least_m,
             surface_m=float(surface.min()),
-            robot_link=self.scene.arm.link_names[link],
+            robot_link=self.scene.arm.link_names[int(self.scene.arm.spheres().link[apart.part[k]])],
             human_body=self.human.bodies[int(apart.body[k])].name,
             closed_by_human_m=by_human,
             closed_by_arm_m=by_arm,
             moved="both" if len(movers) != 1 else movers[0],
         )
-
-    def _closing(self, q_arm: FloatArray, since: int, until: int) -> tuple[float, float]:
-        """Return by how much the human's, and by how much the arm's movement brought them closer."""
-        before = self.meter.measure(q_arm).distance_m
-        arm_waits = np.concatenate([q_arm[:1], q_arm[:-1]])
-        # The human moves from one posture to the next while the arm stays, then the arm follows.
-        between = self.meter.measure(arm_waits).distance_m
-        steps = np.arange(since + 1, until + 1)
-        by_human = float((before[steps - 1] - between[steps]).sum())
-        by_arm = float((between[steps] - before[steps]).sum())
-        return by_human, by_arm
-
-
-def _begun(decisions: Sequence[Decision], action: str) -> int:
-    return sum(decision.action == action and decision.trajectory is not None for decision in decisions)
 
 
 def executed_cost(term: HumanOccupancyCost, path: FloatArray, weights: FloatArray) -> float:
@@ -271,18 +252,10 @@ class ExecutedMotion:
         self._trajectories.append(trajectory)
 
     @property
-    def begin_s(self) -> float:
-        """Since when the arm rests at its start."""
-        return self._begin_s
-
-    @property
     def departure_s(self) -> float:
         """When the first trajectory that moves takes over; infinite if none does."""
-        moving = (
-            from_s
-            for from_s, trajectory in zip(self._from_s, self._trajectories, strict=True)
-            if trajectory.end_s > from_s and np.ptp(trajectory.q, axis=0).any()
-        )
+        pairs = zip(self._from_s, self._trajectories, strict=True)
+        moving = (from_s for from_s, way in pairs if way.end_s > from_s and np.ptp(way.q, axis=0).any())
         return next(moving, np.inf)
 
     @property
@@ -313,7 +286,7 @@ class ExecutedMotion:
 
     def rests_since(self) -> float:
         """Return since when the configuration has been the last one: earlier than `end_s` if the end was repeated."""
-        t, q = self.samples(0.01)
+        t, q = self.samples(SAMPLE_PERIOD_S)
         moved = np.flatnonzero((np.abs(q - self.q_end) > 1e-9).any(axis=1))
         return float(t[min(moved[-1] + 1, len(t) - 1)]) if len(moved) else self._begin_s
 

@@ -1,7 +1,7 @@
 """The arm beside recorded people, simulated in one process and in the data's clock, without ROS.
 
 The person makes a recorded motion and does not react; every posture is given to a predictor, and the replanner answers
-every occupancy. A stepped run over DDS gives the same decisions as `run_direct`, bit for bit.
+every occupancy. A stepped run over DDS gives the same decisions as `drive` with `predicted` occupancies, bit for bit.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,30 +28,15 @@ from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.robot.scene import Scene, load_scene
 
 
-def run_direct(
-    scene: Scene,
-    predictor: Predictor,
-    replanner: Replanner,
-    motion: Motion,
-    threshold: float,
-    n_held: int = 0,
-) -> list[Decision]:
-    """Let the human make `motion` and the arm work; return one decision per posture.
+def predicted(predictor: Predictor, motion: Motion, threshold: float, n_held: int = 0) -> Iterator[Occupancy]:
+    """Yield the occupancy that reaches the planner after each posture.
 
     Args:
-        scene: where the arm starts.
         predictor: told to start anew.
-        replanner: told to start anew at the scene's start configuration.
         motion: DoFs in the predictor's order.
         threshold: voxels at or below this probability do not reach the planner, as over DDS.
-        n_held: how often the last posture is repeated at the end, at the motion's median period; the run
-            ends earlier when the arm has arrived.
+        n_held: how often the last posture is repeated at the end, at the motion's median period.
     """
-    return drive(replanner, scene.start, predicted(predictor, motion, threshold, n_held), len(motion))
-
-
-def predicted(predictor: Predictor, motion: Motion, threshold: float, n_held: int = 0) -> Iterator[Occupancy]:
-    """Yield the occupancy that reaches the planner after each posture; arguments as for `run_direct`."""
     offsets_ns, postures = motion.timeline(n_held)
     predictor.start()
     for offset_ns, q in zip(offsets_ns, postures, strict=True):
@@ -93,13 +77,10 @@ class PredictedOccupancies:
     """
 
     def __init__(self, predictor: Predictor, motion: Motion, threshold: float, n_held: int) -> None:
-        """Take a predictor that nobody else uses meanwhile; other arguments as for `run_direct`."""
+        """Take a predictor that nobody else uses meanwhile; other arguments as for `predicted`."""
         self._grid: VoxelGrid = predictor.grid
         self._source = predicted(predictor, motion, threshold, n_held)
         self._made: list[tuple[float, NDArray[np.int64], NDArray[np.float32]]] = []
-
-    def __iter__(self) -> Iterator[Occupancy]:
-        return self.since(0)
 
     def since(self, posture: int) -> Iterator[Occupancy]:
         """Yield the occupancies from that of one posture on, counted from 0."""
@@ -121,13 +102,10 @@ class PredictedOccupancies:
         return Occupancy(self._grid, probability.reshape(self._grid.shape), t_s)
 
     def _make(self, posture: int) -> bool:
-        while len(self._made) <= posture:
-            occupancy = next(self._source, None)
-            if occupancy is None:
-                return False
+        for occupancy in itertools.islice(self._source, max(0, posture + 1 - len(self._made))):
             flat = occupancy.voxels_above(0.0)
             self._made.append((occupancy.t_s, flat, occupancy.probability.ravel()[flat]))
-        return True
+        return posture < len(self._made)
 
 
 def nobody(grid: VoxelGrid, motion: Motion, n_held: int) -> Iterator[Occupancy]:
@@ -145,10 +123,10 @@ class RunSettings:
         replanner: of the arm; period and seed are set for each run. One thread: processes fill the cores.
         steps: replanning steps per human motion (P1: 20, so 5 % each).
         threshold: voxels at or below this probability do not reach the planner.
-        hold_s: how long the human stays at the end, for the arm to arrive; who has not by then never does.
+        hold_s: how long the human stays at the end, for the arm to arrive; a later arrival does not count.
         gmm: settings of P1's mixtures.
         hold_out: so many motions of every class are held out together: P1 learns nothing from the first 5 of each.
-            The same goes for those that follow: who is shown motion 7 has learned from all but 5 to 9.
+            The same goes for those that follow: beside motion 7, all but motions 5 to 9 were learned from.
     """
 
     replanner: ReplannerConfig = field(default_factory=lambda: ReplannerConfig(threads=1))
@@ -162,17 +140,14 @@ class RunSettings:
         """Return the replanner's settings beside one motion."""
         return self.replanner.replaced(period_s=motion.duration_s / self.steps, seed=seed)
 
-    def held_postures(self, motion: Motion) -> int:
-        """Return how often the motion's last posture is repeated."""
-        return math.ceil(self.hold_s / motion.period_s)
-
 
 class World:
-    """A library, and what is made from it on demand; can be sent to another process."""
+    """A library, and what is made from it on demand; can be sent to another process before it is used."""
 
     def __init__(self, library: MotionLibrary, settings: RunSettings) -> None:
-        # A library's provenance cannot be pickled, and nobody learns from it.
-        self._name, self._motions, self.settings = library.name, library.motions, settings
+        self.library, self.settings, self.human = library, settings, HumanModel.kinect12()
+        self._scenes: dict[str, Scene] = {}
+        self._folds: dict[tuple[str, int, object, bytes], LeaveOneOut] = {}
 
     def scene(self, name: str) -> Scene:
         """Return a scene of the package, or of a YAML file."""
@@ -180,45 +155,16 @@ class World:
             self._scenes[name] = load_scene(name)
         return self._scenes[name]
 
-    def told(self, predictor: str, scene: Scene, motion: Motion, n_held: int) -> PredictedOccupancies:
+    def predictions(self, predictor: str, scene: Scene, motion: Motion, n_held: int) -> PredictedOccupancies:
         """Return what a predictor says of a motion that it has not learned from.
 
-        `forecast` goes with the default classifier, `swept_volume` with P1's.
+        `forecast` goes with the default classifier, `swept_volume` with P1's. Scenes of one grid and placement share
+        what was learned.
         """
-        fold = self._fold(predictor, scene, group_of(self.library, motion, self.settings.hold_out))
-        return PredictedOccupancies(fold.without(motion.name), motion, self.settings.threshold, n_held)
-
-    def swept(self, scene: Scene, motion: Motion) -> Occupancy:
-        """Return the voxels that the body really sweeps in a motion, stamped with its end."""
-        mask = BodyVoxeliser(self.human, scene.grid, scene.T_world_human).mask(motion.q)
-        return Occupancy(scene.grid, mask.astype(np.float32), motion.duration_s)
-
-    @cached_property
-    def library(self) -> MotionLibrary:
-        """All motions."""
-        return MotionLibrary(self._name, self._motions)
-
-    @cached_property
-    def human(self) -> HumanModel:
-        """P1's 12-DoF human."""
-        return HumanModel.kinect12()
-
-    @cached_property
-    def _scenes(self) -> dict[str, Scene]:
-        return {}
-
-    @cached_property
-    def _folds(self) -> dict[tuple[str, int, object, bytes], LeaveOneOut]:
-        return {}
-
-    def _fold(self, predictor: str, scene: Scene, group: int) -> LeaveOneOut:
-        """Return what makes a predictor for a scene; scenes of one grid and placement share what was learned."""
-        key = (
-            predictor,
-            group if predictor_type(predictor).needs_model else 0,
-            scene.grid,
-            scene.T_world_human.tobytes(),
-        )
+        group = group_of(self.library, motion, self.settings.hold_out)
+        if not predictor_type(predictor).needs_model:
+            group = 0
+        key = (predictor, group, scene.grid, scene.T_world_human.tobytes())
         if key not in self._folds:
             self._folds[key] = leave_one_out(
                 predictor,
@@ -231,7 +177,12 @@ class World:
                     gmm=self.settings.gmm,
                 ),
             )
-        return self._folds[key]
+        return PredictedOccupancies(self._folds[key].without(motion.name), motion, self.settings.threshold, n_held)
+
+    def swept(self, scene: Scene, motion: Motion) -> Occupancy:
+        """Return the voxels that the body really sweeps in a motion, stamped with its end."""
+        mask = BodyVoxeliser(self.human, scene.grid, scene.T_world_human).mask(motion.q)
+        return Occupancy(scene.grid, mask.astype(np.float32), motion.duration_s)
 
 
 def training_library(library: MotionLibrary, hold_out: int, group: int = 0) -> MotionLibrary:
@@ -253,14 +204,11 @@ def group_of(library: MotionLibrary, motion: Motion, hold_out: int) -> int:
     return names.index(motion.name) // hold_out
 
 
-def first_of_classes(library: MotionLibrary, count: int) -> Iterator[str]:
-    """Yield the names of the first `count` motions of every class."""
-    return itertools.chain.from_iterable(
-        (motion.name for motion in library.of_class(label)[:count]) for label in library.labels
-    )
+def first_of_classes(library: MotionLibrary, count: int) -> list[str]:
+    """Return the names of the first `count` motions of every class."""
+    return [motion.name for label in library.labels for motion in library.of_class(label)[:count]]
 
 
-def running_numbers(library: MotionLibrary) -> dict[str, int]:
-    """Return the running number of each motion over the sorted classes, by name: the papers' global id."""
-    ordered = sorted(library, key=lambda motion: (-1 if motion.label is None else motion.label, motion.index))
-    return {motion.name: number for number, motion in enumerate(ordered)}
+def held_postures(motion: Motion, hold_s: float) -> int:
+    """Return how often a motion's last posture is repeated to be held for `hold_s`."""
+    return math.ceil(hold_s / motion.period_s)

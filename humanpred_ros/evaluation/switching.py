@@ -11,42 +11,46 @@ right from the first step and there is nothing to be decided earlier.
 
 from __future__ import annotations
 
+import csv
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from rich.console import Console
 
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.framework import Begin, Column, LibrarySettings, Report, Table, present
 from humanpred_ros.evaluation.outputs import library_facts
 from humanpred_ros.evaluation.parallel import map_processes
-from humanpred_ros.evaluation.published_costs import FIG9_VARIANTS, first_switch, read_fig9
+from humanpred_ros.evaluation.run_plots import draw_switching
 from humanpred_ros.evaluation.simulation import RunSettings, first_of_classes, group_of, training_library
 from humanpred_ros.evaluation.switching_runs import (
     CURRENT,
+    FIG9_VARIANTS,
+    SUMMARY,
     VARIANTS,
     Choosing,
+    Curve,
     Person,
     SwitchTask,
-    steps_earlier,
+    curves,
+    first_switch,
     variant_figures,
 )
-from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.recognition.classifier import check_trainable
 from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.settings import setting
-from humanpred_ros.viewing.figures import DASHES, INK, MARKERS, SERIES, goal_colours, new_figure, note
 
+#: Where the papers' data folder keeps Fig. 9, relative to the folder that a library lies in.
+FIG9_BESIDE_LIBRARY = Path("reference") / "fig9_costs.csv"
 #: Title of the persons who take the goal that the arm would choose; elsewhere every choice is right from step 1.
 CONTESTED = "motions that take the goal the arm would choose"
-_PLOT_COLUMNS = 3
 
 
 class SwitchingSettings(LibrarySettings):
@@ -58,10 +62,6 @@ class SwitchingSettings(LibrarySettings):
     motions: int | None = setting(None, "show only so many first motions of every class; 0 none; all by default", low=0)
     hold_out: int = setting(5, "motions of every class that are held out together; the first 5 in P1", low=0)
     components: int = setting(GmmSettings().n_components, "gmm: Gaussians per class", low=1)
-
-    def run_settings(self) -> RunSettings:
-        """Return how each run is made."""
-        return RunSettings(gmm=GmmSettings(n_components=self.components, seed=self.seed), hold_out=self.hold_out)
 
 
 def run(settings: SwitchingSettings, console: Console) -> int:
@@ -84,7 +84,9 @@ def measure(settings: SwitchingSettings, begin: Begin, run_settings: RunSettings
             f"scene {settings.scene}: wanted two goals or more to choose between, got {', '.join(goals)}; take "
             "another, like face_to_face"
         )
-    library, how = settings.read_library(), run_settings or settings.run_settings()
+    library = settings.read_library()
+    gmm = GmmSettings(n_components=settings.components, seed=settings.seed)
+    how = run_settings or RunSettings(gmm=gmm, hold_out=settings.hold_out)
     HumanModel.kinect12().check_dofs(library.dof_names)
     check_trainable(training_library(library, how.hold_out))
     tasks = tasks_of(library, settings)
@@ -115,7 +117,7 @@ def measure(settings: SwitchingSettings, begin: Begin, run_settings: RunSettings
         f"sweep. Right since: up to the end; never counts as step {how.steps + 1}. Final choice: the last change of "
         "goal, step 1 if there is none. Returned: back to a goal that had been left.",
     )
-    tables += [Table(f"{title}: {len(parts[title])}", records, _SUMMARY) for title, records in variants.items()]
+    tables += [Table(f"{title}: {len(parts[title])}", records, _COLUMNS) for title, records in variants.items()]
     return Report(
         f"{library.name}: which goal the arm chooses",
         tables,
@@ -145,49 +147,62 @@ def _shown(library: MotionLibrary, settings: SwitchingSettings) -> list[str]:
     return sorted(first_of_classes(library, count), key=lambda name: group[name])
 
 
-def _spread(key: str, title: str) -> Column:
-    return Column(title, lambda f: "{1:.1f} ({0:.1f} .. {2:.1f})".format(*f[key]))
+def read_fig9(folder: Path) -> dict[str, Any] | None:
+    """Return P1's Fig. 9, None if it is not in a folder: `goals`, and costs (steps, goals) by `prediction`, `current`.
+
+    Raises:
+        UsageError: a file without the columns variant, step (from 1), goal (from 0), cup and cost, or without a cost
+            for every step.
+    """
+    path = folder / FIG9_BESIDE_LIBRARY
+    if not path.is_file():
+        return None
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            rows = [
+                (r["variant"], int(r["step"]), int(r["goal"]), r["cup"], float(r["cost"]))
+                for r in csv.DictReader(stream)
+            ]
+        names = {goal: cup for _, _, goal, cup, _ in rows}
+        n_steps = max(step for _, step, _, _, _ in rows)
+        costs = {variant: np.full((n_steps, len(names)), np.nan) for variant in FIG9_VARIANTS.values()}
+        for variant, step, goal, _, cost in rows:
+            costs[variant][step - 1, goal] = cost
+    except (OSError, KeyError, IndexError, TypeError, ValueError) as trouble:
+        raise UsageError(
+            f"{path}: wanted a CSV file with the columns variant, step, goal, cup and cost, got "
+            f"{type(trouble).__name__}: {trouble}; correct or remove it"
+        ) from trouble
+    if not all(np.isfinite(array).all() for array in costs.values()):
+        wanted = " and ".join(FIG9_VARIANTS.values())
+        raise UsageError(f"{path}: wanted a cost for every step and goal of {wanted}; complete it")
+    return {"goals": [names[goal] for goal in sorted(names)]} | {k: costs[name] for k, name in FIG9_VARIANTS.items()}
 
 
-def _count(key: str, title: str) -> Column:
-    return Column(title, lambda f: f"{f[key]} ({100.0 * f[key] / f['persons']:.1f} %)")
+def _shown_as(key: str) -> Callable[[dict[str, Any]], str]:
+    def text(figures: dict[str, Any]) -> str:
+        value = figures[key]
+        if isinstance(value, tuple):
+            return "{1:.1f} ({0:.1f} .. {2:.1f})".format(*value)
+        return f"{value} ({100.0 * value / figures['persons']:.1f} %)"
+
+    return text
 
 
-_SUMMARY = (
-    Column("by", lambda f: f["variant"]),
-    _count("right", "right in the end"),
-    _count("wrong_first", "wrong first"),
-    _count("recovered", "  of these right in the end"),
-    _count("switched", "changed the goal"),
-    _count("returned", "returned to a goal left before"),
-    _count("returned_often", "  more than once"),
-    _spread("settled", "step of the final choice"),
-    _spread("decided", "right since step"),
-    _spread("settled_earlier", "final choice: steps earlier than current"),
-    _spread("decided_earlier", "right: steps earlier than current"),
-)
+_COLUMNS = (Column("by", lambda f: f["variant"]), *(Column(title, _shown_as(key)) for key, title, _ in SUMMARY))
 
 
 def _figure_tables(
     person: Person, goals: Sequence[str], published: Mapping[str, Any] | None, n_steps: int
 ) -> list[Table]:
-    heads = ["step", *(f"{variant} {goal}" for variant in VARIANTS for goal in goals)]
-    heads += [f"published {name} {goal}" for name in FIG9_VARIANTS for goal in (published or {}).get("goals", ())]
-    rows = []
-    for k in range(n_steps):
-        cells: list[Any] = [k + 1]
-        for variant in VARIANTS:
-            steps = person.run(variant).steps
-            for goal in goals:
-                step = steps[k] if k < len(steps) else None
-                cost = None if step is None or math.isnan(step.costs[goal]) else step.costs[goal]
-                cells.append(None if cost is None else f"{cost:.4f}{'*' if step and step.chosen == goal else ' '}")
-        for name in FIG9_VARIANTS if published else ():
-            costs = np.asarray(published[name] if published else ())
-            for g in range(len(costs[0])):
-                cell = costs[k][g] if k < len(costs) else None
-                cells.append(None if cell is None else f"{cell:.4f}{'*' if g == np.argmin(costs[k]) else ' '}")
-        rows.append(cells)
+    def cell(curve: Curve, goal: int, step: int) -> str | None:
+        if step >= len(curve.costs) or math.isnan(curve.costs[step, goal]):
+            return None
+        return f"{curve.costs[step, goal]:.4f}{'*' if curve.chosen[step] == goal else ' '}"
+
+    columns = [Column("step", lambda step: step + 1)]
+    for curve in curves(person, goals, published):
+        columns += [Column(f"{curve.title} {name}", partial(cell, curve, k)) for k, name in enumerate(curve.goals)]
     title = (
         f"P1 Fig. 9: motion {person.motion} in {person.scene}, cost of each goal by replanning step, seed 0; "
         f"chosen: *; right: {person.right}, with nobody there: {person.default}"
@@ -199,84 +214,6 @@ def _figure_tables(
         theirs = published and first_switch(published["current" if variant == CURRENT else "prediction"])
         switches.append((variant, steps_of[0], " ".join(steps_of), theirs))
     return [
-        Table.of_rows(title, heads, rows),
+        Table(title, range(n_steps), columns),
         Table.of_rows("Step of the first switch", ["by", "seed 0", "all seeds", "published"], switches),
     ]
-
-
-def draw_switching(
-    figure: Person | None,
-    goals: Sequence[str],
-    published: Mapping[str, Any] | None,
-    contested: Sequence[Person],
-    n_steps: int,
-) -> Figure:
-    """Return the plot: the goals' costs as in P1's Fig. 9, and how many steps are gained; parts without data say so."""
-    panels: list[tuple[str, Sequence[str], FloatArray, int | None]] = []
-    if figure is not None:
-        for variant in VARIANTS:
-            run = figure.run(variant)
-            costs = np.array([[step.costs[goal] for goal in goals] for step in run.steps])
-            panels.append((f"{variant}, here", goals, costs, run.figures.first_switch))
-        for name in FIG9_VARIANTS if published else ():
-            costs = published[name] if published else np.zeros((0, 0))
-            panels.append((f"{name}, published", (published or {})["goals"], costs, first_switch(costs)))
-    n_rows = max(1, -(-(len(panels) + 1) // _PLOT_COLUMNS))
-    drawing = new_figure(3.0 * n_rows)
-    cells = drawing.subplots(n_rows, _PLOT_COLUMNS, squeeze=False).ravel()
-    positive = np.concatenate([costs[costs > 0.0] for _, _, costs, _ in panels] or [np.zeros(0)])
-    limits = (positive.min() / 2.0, positive.max() * 2.0) if len(positive) else (0.1, 1.0)
-    for axes, panel in zip(cells, panels, strict=False):
-        _draw_costs(axes, *panel, limits)
-    gained = {
-        variant: [steps_earlier(p.run(variant).figures, p.run(CURRENT).figures, n_steps) for p in contested]
-        for variant in VARIANTS
-        if variant != CURRENT
-    }
-    _draw_gained(cells[len(panels)], gained if contested else {})
-    for axes in cells[len(panels) + 1 :]:
-        axes.remove()
-    return drawing
-
-
-def _draw_costs(
-    axes: Axes,
-    title: str,
-    goals: Sequence[str],
-    costs: FloatArray,
-    switch: int | None,
-    limits: tuple[float, float],
-) -> None:
-    colours = goal_colours(goals)
-    for k, goal in enumerate(goals):
-        axes.plot(
-            np.arange(1, len(costs) + 1), np.where(costs[:, k] > 0.0, costs[:, k], np.nan), color=colours[goal],
-            linestyle=DASHES[k % len(DASHES)], marker=MARKERS[k % len(MARKERS)], markersize=3.0, label=goal,
-        )  # fmt: skip
-    if switch is not None:
-        axes.axvline(switch, color=INK, linewidth=1.0)
-        axes.annotate(f" switch: {switch}", (switch, limits[1]), va="top", fontsize=8.0)
-    axes.set_yscale("log")
-    axes.set_ylim(*limits)
-    axes.set_xlim(0.5, max(20, len(costs)) + 0.5)
-    axes.set_title(title)
-    axes.set_xlabel("replanning step")
-    axes.set_ylabel("cost")
-    axes.legend(loc="lower left")
-
-
-def _draw_gained(axes: Axes, gained: Mapping[str, Sequence[int]]) -> None:
-    if not gained:
-        note(axes, "no motion was shown in which\nsomething is to be decided")
-        return
-    everything = np.concatenate([np.asarray(steps) for steps in gained.values()])
-    axes.hist(
-        [np.asarray(steps) for steps in gained.values()],
-        bins=(np.arange(everything.min(), everything.max() + 2) - 0.5).tolist(),
-        color=list(SERIES[: len(gained)]),
-        label=[f"{variant}, median {np.median(steps):g}" for variant, steps in gained.items()],
-    )
-    axes.set_title("right earlier than current")
-    axes.set_xlabel("replanning steps")
-    axes.set_ylabel("motions that take the default goal")
-    axes.legend()

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from humanpred_ros.evaluation.simulation import RunSettings, World, drive, nobody
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.planning.decision import Decision
@@ -27,6 +28,8 @@ VARIANTS: Mapping[str, tuple[str, str]] = MappingProxyType(
     }
 )
 CURRENT = "current"
+#: What choices are made by in P1's Fig. 9, by our names and those of its file.
+FIG9_VARIANTS = {"prediction": "prediction", "current": "current_occupancy"}
 #: Probability of what is going to be swept, told as a prediction: almost certain.
 _EXPECTED = 0.99
 
@@ -167,7 +170,7 @@ class Choosing:
         scene, motion = self.world.scene(task.scene), self.world.library.find(task.motion)
         # P1's last step comes after the last posture; by the stamps it is due a moment later.
         n_held = math.ceil(motion.duration_s / self.settings.steps / motion.period_s) + 1
-        told = {variant: self.world.told(name, scene, motion, n_held) for variant, (name, _) in VARIANTS.items()}
+        seen = {variant: self.world.predictions(name, scene, motion, n_held) for variant, (name, _) in VARIANTS.items()}
         empty = next(nobody(scene.grid, motion, 0))
         swept = self.world.swept(scene, motion)
         runs: list[VariantRun] = []
@@ -177,8 +180,8 @@ class Choosing:
             try:
                 if not runs:
                     right, default = (_at_once(replanner, scene, known) for known in (swept, empty))
-                for variant, occupancies in told.items():
-                    decisions = drive(replanner, scene.start, occupancies, len(motion) + n_held)
+                for variant, occupancies in seen.items():
+                    decisions = drive(replanner, scene.start, occupancies.since(0), len(motion) + n_held)
                     steps = step_costs(scene, decisions, replanner.config.period_s, self.settings.steps)
                     figures = ChoiceFigures.of([step.chosen for step in steps], right)
                     runs.append(VariantRun(variant, seed, steps, figures))
@@ -229,27 +232,69 @@ def steps_earlier(ours: ChoiceFigures, other: ChoiceFigures, n_steps: int) -> in
     return (never if other.decided is None else other.decided) - (never if ours.decided is None else ours.decided)
 
 
+def first_switch(costs: Sequence[Sequence[float]] | FloatArray) -> int | None:
+    """Return the step, from 1, in which another goal than in the first is cheapest; None if none ever is."""
+    cheapest = np.argmin(np.asarray(costs), axis=1)
+    changed = np.flatnonzero(cheapest != cheapest[0])
+    return int(changed[0]) + 1 if len(changed) else None
+
+
+class Curve(NamedTuple):
+    """The goals' costs in one run, as in P1's Fig. 9.
+
+    Attributes:
+        title: what the choices are made by.
+        goals: names.
+        costs: (N, goals) by step; NaN where there are none.
+        chosen: (N,) number of the goal worked on after each step, -1 for none.
+        switch: step of the first switch, None if there is none.
+    """
+
+    title: str
+    goals: Sequence[str]
+    costs: FloatArray
+    chosen: Sequence[int]
+    switch: int | None
+
+
+def curves(person: Person, goals: Sequence[str], published: Mapping[str, Any] | None) -> list[Curve]:
+    """Return the costs of seed 0 by variant, then the published ones, as `switching.read_fig9` gives them."""
+    found = []
+    for variant in VARIANTS:
+        run = person.run(variant)
+        costs = np.array([[step.costs[goal] for goal in goals] for step in run.steps])
+        chosen = [goals.index(step.chosen) if step.chosen is not None else -1 for step in run.steps]
+        found.append(Curve(variant, goals, costs, chosen, run.figures.first_switch))
+    for name in FIG9_VARIANTS if published else ():
+        costs = np.asarray((published or {})[name])
+        chosen = np.argmin(costs, axis=1).tolist()
+        found.append(Curve(f"published {name}", (published or {})["goals"], costs, chosen, first_switch(costs)))
+    return found
+
+
+#: Figures of a variant: key, title, and what is counted of (run, run by current occupancy, number of steps): yes or no
+#: are counted over persons, numbers of steps get quartiles.
+SUMMARY: tuple[tuple[str, str, Callable[[ChoiceFigures, ChoiceFigures, int], bool | int]], ...] = (
+    ("right", "right in the end", lambda f, current, n: f.right),
+    ("wrong_first", "wrong first", lambda f, current, n: f.wrong_first),
+    ("recovered", "  of these right in the end", lambda f, current, n: f.wrong_first and f.right),
+    ("switched", "changed the goal", lambda f, current, n: f.switches > 0),
+    ("returned", "returned to a goal left before", lambda f, current, n: f.returns > 0),
+    ("returned_often", "  more than once", lambda f, current, n: f.returns > 1),
+    ("settled", "step of the final choice", lambda f, current, n: f.settled),
+    ("decided", "right since step", lambda f, current, n: n + 1 if f.decided is None else f.decided),
+    ("settled_earlier", "final choice: steps earlier than current", lambda f, current, n: current.settled - f.settled),
+    ("decided_earlier", "right: steps earlier than current", steps_earlier),
+)
+
+
 def variant_figures(variant: str, persons: Sequence[Person], n_steps: int) -> dict[str, Any]:
-    """Return the choices of one variant, seed 0, beside persons; quartiles are (25, 50, 75 %) over them."""
-    mine = [person.run(variant).figures for person in persons]
-    current = [person.run(CURRENT).figures for person in persons]
-    pairs = list(zip(mine, current, strict=True))
-    return {
-        "variant": variant,
-        "persons": len(mine),
-        "right": sum(f.right for f in mine),
-        "wrong_first": sum(f.wrong_first for f in mine),
-        "recovered": sum(f.wrong_first and f.right for f in mine),
-        "switched": sum(f.switches > 0 for f in mine),
-        "returned": sum(f.returns > 0 for f in mine),
-        "returned_often": sum(f.returns > 1 for f in mine),
-        "settled": _quartiles([f.settled for f in mine]),
-        "decided": _quartiles([n_steps + 1 if f.decided is None else f.decided for f in mine]),
-        "settled_earlier": _quartiles([theirs.settled - f.settled for f, theirs in pairs]),
-        "decided_earlier": _quartiles([steps_earlier(f, theirs, n_steps) for f, theirs in pairs]),
-    }
-
-
-def _quartiles(values: Sequence[int]) -> tuple[float, float, float]:
-    low, middle, high = np.percentile(np.array(values, dtype=np.float64), [25.0, 50.0, 75.0])
-    return float(low), float(middle), float(high)
+    """Return `SUMMARY` of one variant, seed 0, beside persons; quartiles are (25, 50, 75 %) over them."""
+    found: dict[str, Any] = {"variant": variant, "persons": len(persons)}
+    for key, _, figure in SUMMARY:
+        values = [figure(p.run(variant).figures, p.run(CURRENT).figures, n_steps) for p in persons]
+        if isinstance(values[0], bool):
+            found[key] = sum(values)
+        else:
+            found[key] = tuple(np.percentile(np.array(values, dtype=np.float64), [25.0, 50.0, 75.0]).tolist())
+    return found

@@ -18,11 +18,11 @@ from rich.console import Console
 from small_library import small_library
 
 from humanpred_ros.errors import HumanPredError, SettingsError, UsageError
-from humanpred_ros.evaluation import interference
 from humanpred_ros.evaluation.framework import Report, present
 from humanpred_ros.evaluation.interference import InterferenceSettings, measure, tasks_of
 from humanpred_ros.evaluation.interference_runs import METHODS, Runs, RunTask
 from humanpred_ros.evaluation.run_figures import RunFigures
+from humanpred_ros.evaluation.run_plots import draw_interference
 from humanpred_ros.evaluation.simulation import RunSettings, World, training_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.planning.replanner_config import ReplannerConfig
@@ -139,7 +139,7 @@ def test_parts_can_be_left_out(settings: InterferenceSettings) -> None:
     assert {task.motion for task in tasks} == {"0/0", "10/1"}
     seeds = [{seed for _, seed in task.runs} for task in tasks]
     assert not seeds[0] & seeds[1]  # basic STOMP, which sees nobody, is not run alike beside all
-    nothing = interference.draw_interference((), (), {"compared_motions": (), "runs": ()})
+    nothing = draw_interference((), (), {"compared_motions": (), "runs": ()})
     assert len(nothing.axes) == 3
 
 
@@ -160,7 +160,7 @@ def test_nothing_is_learned_from_the_motion_shown(monkeypatch: pytest.MonkeyPatc
     world = World(library(), replace(RUNS, hold_out=2))
     for name in ("0/0", "10/1", "0/2"):
         with pytest.raises(LookupError):
-            world.told("forecast", world.scene("side_by_side"), library().find(name), 0)
+            world.predictions("forecast", world.scene("side_by_side"), library().find(name), 0)
     assert shown == ["0/0", "10/1", "0/2"]
     # Learned once for those that are held out together.
     assert taught == [{f"{label}/{k}" for label in (0, 10) for k in rest} for rest in ((2, 3), (0, 1))]

@@ -8,7 +8,9 @@ import pytest
 from paths import shared_data
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.published_costs import first_switch, read_fig9, read_table1
+from humanpred_ros.evaluation.interference import read_table1
+from humanpred_ros.evaluation.switching import read_fig9
+from humanpred_ros.evaluation.switching_runs import first_switch
 
 
 def test_table1_is_the_papers() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 import pytest
@@ -14,11 +14,11 @@ from reaching_people import MODEL, recording
 from scipy.spatial.transform import Rotation
 
 from humanpred_ros.errors import HumanModelError, MotionError
-from humanpred_ros.evaluation.reach_distances import ReachMetric, angles, quaternions, warped_sum
+from humanpred_ros.evaluation.reach_distances import angles, quaternions, reach_distance, warped_sum
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
 
-METRIC = ReachMetric(MODEL)
+distance_of = partial(reach_distance, MODEL)
 TABLES = hnp.arrays(
     np.float64, st.tuples(st.integers(1, 6), st.integers(1, 6)), elements=st.floats(0.0, 100.0, width=32)
 )
@@ -63,7 +63,7 @@ def test_tables_without_frames_or_numbers_are_refused(costs: FloatArray) -> None
 
 def test_a_reach_is_at_no_distance_from_itself_but_as_coded() -> None:
     q = recording(1).active.q
-    distance = METRIC.between(q, q)
+    distance = distance_of(q, q)
     assert distance.joint_m == 0.0
     assert distance.task_m == pytest.approx(0.0, abs=1e-9)
     assert distance.task_as_coded_m > 1.0
@@ -74,18 +74,18 @@ def test_distances_are_symmetric_and_grow_with_the_difference() -> None:
     near, far = q.copy(), q.copy()
     near[:, 12] += 0.05
     far[:, 12] += 0.3
-    a, b = METRIC.between(near, q), METRIC.between(far, q)
+    a, b = distance_of(near, q), distance_of(far, q)
     assert 0.0 < a.joint_m < b.joint_m
     assert 0.0 < a.task_m < b.task_m
-    assert METRIC.between(q, far).joint_m == pytest.approx(b.joint_m, rel=1e-9)
-    assert METRIC.between(q, far).task_m == pytest.approx(b.task_m, rel=1e-9)
+    assert distance_of(q, far).joint_m == pytest.approx(b.joint_m, rel=1e-9)
+    assert distance_of(q, far).task_m == pytest.approx(b.task_m, rel=1e-9)
 
 
 def test_a_person_beside_the_place_is_off_by_five_points_and_one_palm() -> None:
     q = np.repeat(recording(1).active.q[:1], 20, axis=0)  # nothing to warp
     beside = q.copy()
     beside[:, 0] += 0.1
-    distance = METRIC.between(beside, q)
+    distance = distance_of(beside, q)
     assert distance.joint_m == pytest.approx(20 * 5 * 0.1)
     assert distance.task_m == pytest.approx(20 * 0.1)
 
@@ -94,7 +94,7 @@ def test_a_radian_of_the_palm_counts_a_fifth_of_a_metre() -> None:
     q = np.repeat(recording(1).active.q[:1], 10, axis=0)
     turned = q.copy()
     turned[:, MODEL.dof_names.index("rWristY")] += 0.5  # about the axis the palm lies on
-    distance = METRIC.between(turned, q)
+    distance = distance_of(turned, q)
     assert distance.joint_m == pytest.approx(0.0, abs=1e-9)
     assert distance.task_m == pytest.approx(10 * 0.2 * 0.5)
 
@@ -122,11 +122,11 @@ def test_the_papers_recordings_are_as_far_from_themselves_as_coded() -> None:
     wanted = {"0446-0578": 31.76, "0525-0657": 32.67, "0444-0585": 29.04, "0489-0589": 23.51, "0780-0871": 11.83,
               "1537-1608": 10.81, "2711-2823": 29.36}  # fmt: skip
     for entry in load_reach_recordings(shared_data("icra2015/demos")):
-        distance = METRIC.between(entry.active.q, entry.active.q)
+        distance = distance_of(entry.active.q, entry.active.q)
         assert distance.task_as_coded_m == pytest.approx(wanted[entry.name], abs=0.05)
         assert (distance.joint_m, distance.task_m) == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
 def test_postures_of_another_human_are_refused() -> None:
     with pytest.raises(HumanModelError):
-        METRIC.between(np.zeros((5, 12)), recording(1).active.q)
+        distance_of(np.zeros((5, 12)), recording(1).active.q)

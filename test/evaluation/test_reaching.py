@@ -15,11 +15,9 @@ from rich.console import Console
 
 from humanpred_ros.cli import parse
 from humanpred_ros.errors import HumanPredError
-from humanpred_ros.evaluation import reaching_plot
 from humanpred_ros.evaluation.reaching_plot import draw_reaching
-from humanpred_ros.evaluation.reaching_runs import ReachingResult
-from humanpred_ros.evaluation.reaching_scores import PublishedRow, ReachingSet, Scores
-from humanpred_ros.evaluation.reaching_weights import statistic
+from humanpred_ros.evaluation.reaching_runs import DISTANCES, PublishedRow
+from humanpred_ros.evaluation.reaching_weights import STATISTICS
 
 
 @pytest.fixture(scope="module")
@@ -99,17 +97,20 @@ def test_what_is_wrong_is_said_and_nothing_is_left_behind(
     assert not list(tmp_path.iterdir())
 
 
-def scores(name: str, value: float, spread: float = 0.1) -> Scores:
-    values = np.array([value, spread, value * (1.0 - spread), value * (1.0 + spread)])
+def scores(name: str, value: float, spread: float = 0.1) -> dict[str, Any]:
+    values = dict(zip(STATISTICS, (value, spread, value * (1.0 - spread), value * (1.0 + spread)), strict=True))
+    average = dict.fromkeys(DISTANCES, values)
+    each = [{"recording": "r", "figures": average}]
+    return {"name": name, "group": "nothing learned", "runs": 2, "recordings": each, "average": average}
+
+
+def drawn(*found: dict[str, Any], published: tuple[PublishedRow, ...] = (), recovery: Any = None) -> Figure:
+    facts = [{"name": "r", "unfit": None, "notes": []}]
+    rows = [row._asdict() for row in published]
+    entry = {"title": "some", "recordings": facts, "predictors": list(found), "published": rows}
     path = np.cumsum(np.ones((30, 3)), axis=0)
-    return Scores(name, "", "nothing learned", 2, np.repeat(values[None, :, None], 3, axis=2), (path,), 1.0)
-
-
-def result(*found: Scores, published: tuple[PublishedRow, ...] = (), **more: Any) -> ReachingResult:
-    facts = ({"name": "r", "n_frames": 30, "duration_s": 0.3, "unfit": None, "notes": []},)
-    entry = ReachingSet("some", facts, (np.cumsum(np.ones((30, 3)), axis=0),), found, published, True)
-    parts: dict[str, Any] = {"learned": {}, "columns": (), "recovery": None, "times": (), "elapsed_s": 1.0, **more}
-    return ReachingResult(obstacles=(), sets=(entry,), deviation=np.zeros(24), **parts)
+    paths = {(name, "r"): path for name in ("itself", *(each["name"] for each in found))}
+    return draw_reaching({"sets": [entry], "weights": None, "recovery": recovery}, paths)
 
 
 def distance_panels(figure: Figure) -> list[Any]:
@@ -118,24 +119,23 @@ def distance_panels(figure: Figure) -> list[Any]:
 
 def test_published_figures_are_marked_where_there_are_some() -> None:
     row = PublishedRow("b", "", "P2 Table II", 2.5, 3.5)
-    panels = distance_panels(draw_reaching(result(scores("a", 2.0), scores("b", 3.0), published=(row,))))
+    panels = distance_panels(drawn(scores("a", 2.0), scores("b", 3.0), published=(row,)))
     marked = [[float(line.get_xdata()[0]) for line in axes.lines if line.get_marker() == "D"] for axes in panels]
     assert marked == [[2.5], [3.5], []]
 
 
 def test_one_that_would_dwarf_all_others_is_cut_off_but_told() -> None:
     found = [scores(f"p{k}", value) for k, value in enumerate((20.0, 22.0, 120.0))]
-    panel = distance_panels(draw_reaching(result(*found)))[0]
+    panel = distance_panels(drawn(*found))[0]
     assert panel.get_xlim()[1] < 60.0
     assert "120.0" in [text.get_text().strip() for text in panel.texts]
 
 
 def test_parts_that_were_not_run_say_so() -> None:
-    first, second = Figure().subplots(1, 2)
-    reaching_plot._draw_recovery(first, None)
-    reaching_plot._draw_weights(second, None)
-    assert [len(axes.texts) for axes in (first, second)] == [1, 1]
-    one = statistic(np.array([1.0, 2.0]))
+    one = dict.fromkeys(STATISTICS, 1.5)
     recovery = {"samples": [3, 10], "learned": {"published": [one, one]}, "best_sample": [one, one], "line": one}
-    figure = draw_reaching(result(scores("a", 2.0), recovery=recovery))
-    assert any("Fig. 7" in axes.get_title() for axes in figure.axes)
+    figure = drawn(scores("a", 2.0), recovery=recovery)
+    titles = {axes.get_title(): axes for axes in figure.axes}
+    assert not titles["known weights learned again (P2 Fig. 7)"].texts
+    (said,) = titles["weights leaving one out (P2 Fig. 10)"].texts
+    assert "nothing was learned" in said.get_text()

@@ -11,16 +11,16 @@ from paths import shared_data
 from reaching_people import GOAL, MODEL, START, recording
 
 from humanpred_ros.errors import MotionError, UsageError
-from humanpred_ros.evaluation.reach_distances import ReachMetric
+from humanpred_ros.evaluation.reach_distances import reach_distance
 from humanpred_ros.evaluation.reaching_predictors import (
     REACHING_PREDICTORS,
+    BowedLine,
     ReachingMaterial,
-    TimedLine,
     learn_bow,
     mean_profile,
     reaching_entry,
 )
-from humanpred_ros.evaluation.reaching_scores import DEMONSTRATIONS
+from humanpred_ros.evaluation.reaching_runs import DEMONSTRATIONS
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import Jump, ReachRecording, load_reach_recordings
 from humanpred_ros.reaching.first_guess import minimum_jerk
@@ -49,12 +49,9 @@ INTERFERENCE = {"line": (69.02, 52.52, 56.92), "minimum_jerk": (53.40, 58.03, 52
 
 def scores(name: str, tested: Sequence[ReachRecording], seven: Sequence[ReachRecording]) -> np.ndarray:
     """Return (R, 3) distances of a predictor that learned from the seven, except from the tested one."""
-    metric, without = ReachMetric(MODEL), reaching_entry(name).prepare(ReachingMaterial(seven, MODEL))
-    found = []
-    for entry in tested:
-        distance = metric.between(without(entry.name).predict(ReachTask.of(entry), RNG), entry.active.q)
-        found.append((distance.joint_m, distance.task_as_coded_m, distance.task_m))
-    return np.array(found)
+    make, material = reaching_entry(name).make, ReachingMaterial(seven, MODEL)
+    reaches = [make(material, entry.name).predict(ReachTask.of(entry), RNG) for entry in tested]
+    return np.array([reach_distance(MODEL, q, entry.active.q) for q, entry in zip(reaches, tested, strict=True)])
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +92,7 @@ def test_every_predictor_says_what_it_does() -> None:
 @pytest.mark.parametrize("name", ["line", "cubic", "minimum_jerk"])
 def test_lines_begin_and_end_where_the_person_does(name: str) -> None:
     task = ReachTask.of(recording(1))
-    postures = reaching_entry(name).prepare(ReachingMaterial([], MODEL))("").predict(task, RNG)
+    postures = reaching_entry(name).make(ReachingMaterial([], MODEL), "").predict(task, RNG)
     np.testing.assert_array_equal(postures[[0, -1]], [task.start, task.goal])
     assert len(postures) == len(task.t_s)
 
@@ -139,7 +136,7 @@ def bowed(share: float, shape: np.ndarray | None = None) -> ReachRecording:
     goal = START + share * (GOAL - START)
     task = ReachTask("x", MODEL.dof_names, t_s, START, goal, recording(0).passive)
     bow = np.sin(np.pi * t_s) * wrist_way_m(goal) ** 2 if shape is None else shape
-    q = TimedLine(minimum_jerk).predict(task, RNG)
+    q = BowedLine(minimum_jerk).predict(task, RNG)
     q[:, ELBOW] -= bow
     active, passive = (Motion(t_s, p, MODEL.dof_names) for p in (q, np.repeat(START[None], 101, axis=0)))
     return ReachRecording(f"share_{share}", active, passive)
@@ -151,7 +148,7 @@ def test_of_a_bow_that_grows_as_assumed_the_observation_without_bow_takes_a_know
     unseen = bowed(0.7)
     task = ReachTask.of(unseen)
     predicted = learn_bow([bowed(0.4), bowed(1.0)], MODEL).predict(task, RNG)
-    line = TimedLine(minimum_jerk).predict(task, RNG)
+    line = BowedLine(minimum_jerk).predict(task, RNG)
     np.testing.assert_allclose(predicted - line, kept * (unseen.active.q - line), atol=1e-9)
 
 
@@ -164,6 +161,7 @@ def test_the_ends_stay_where_the_person_is() -> None:
 def test_who_jumps_is_not_learned_from() -> None:
     jumping = dataclasses.replace(bowed(1.0, np.full(101, 9.0)), jumps=(Jump("active", 50, "right_wrist", 7.0),))
     with_it, without = (learn_bow(some, MODEL).shape for some in ([bowed(0.5), jumping], [bowed(0.5)]))
+    assert with_it is not None
     np.testing.assert_array_equal(with_it, without)
     with pytest.raises(MotionError, match="at least one recording"):
         learn_bow([jumping], MODEL)

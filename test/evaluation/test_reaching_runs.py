@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -14,23 +15,28 @@ from reaching_people import MODEL, recording
 
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation import reaching_predictors, reaching_runs, reaching_weights
+from humanpred_ros.evaluation.outputs import plain
 from humanpred_ros.evaluation.parallel import map_processes
-from humanpred_ros.evaluation.reach_distances import ReachMetric
-from humanpred_ros.evaluation.reaching import json_of
+from humanpred_ros.evaluation.reach_distances import reach_distance
 from humanpred_ros.evaluation.reaching_predictors import (
+    BETTER,
     REACHING_PREDICTORS,
+    BowedLine,
     ReachingEntry,
     ReachingMaterial,
-    TimedLine,
 )
 from humanpred_ros.evaluation.reaching_runs import (
-    ReachingResult,
+    DISTANCES,
+    INTERFERENCE_CASE,
     ReachingSettings,
-    RecordingRuns,
     RecordingTask,
     evaluate,
+    means,
+    predict_recording,
+    published_of,
+    score_of,
+    wins,
 )
-from humanpred_ros.evaluation.reaching_scores import INTERFERENCE_CASE
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import Jump, ReachRecording, load_reach_recordings
@@ -38,15 +44,15 @@ from humanpred_ros.reaching.first_guess import minimum_jerk
 from humanpred_ros.reaching.prediction import ReachTask
 
 RECORDINGS = [recording(seed, n_frames=40) for seed in range(3)]
-JOINT, AS_CODED, TASK = 0, 1, 2
-MEAN, SD, LEAST, LARGEST = 0, 1, 2, 3
+JOINT, AS_CODED, TASK = DISTANCES
+LINE = BowedLine(minimum_jerk)
 
 
 class Shaky:
     """Adds noise to the line: a random predictor."""
 
     def predict(self, task: ReachTask, rng: np.random.Generator) -> FloatArray:
-        line = TimedLine(minimum_jerk).predict(task, rng)
+        line = LINE.predict(task, rng)
         return line + 0.05 * rng.normal(size=line.shape[1])
 
 
@@ -73,118 +79,83 @@ def quick_learning(monkeypatch: pytest.MonkeyPatch, n_samples: int, **changes: A
 
 def evaluated(
     recordings: list[ReachRecording], interference: list[ReachRecording] | None = None, **settings: Any
-) -> ReachingResult:
-    values = {"demos": "", "samples": ("none",), **settings}
-    return evaluate(recordings, interference or [], ReachingSettings(**values), lambda what, total: lambda done: None)
+) -> dict[str, Any]:
+    wanted = ReachingSettings(**{"demos": "", "samples": ("none",), **settings})
+    return evaluate(recordings, interference or [], wanted, lambda what, total: lambda done: None, MODEL)[0]
+
+
+def names_of(entry: dict[str, Any]) -> list[str]:
+    return [predictor["name"] for predictor in entry["predictors"]]
 
 
 def test_figures_are_those_of_the_metric() -> None:
-    (demos,) = evaluated(
-        RECORDINGS,
-        predictor=(
-            "hold",
-            "minimum_jerk",
-        ),
-    ).sets
-    assert demos.names == ("made_up_0", "made_up_1", "made_up_2")
-    assert [scores.name for scores in demos.scores] == ["hold", "minimum_jerk", "itself"]
-    found, itself = demos.of("minimum_jerk"), demos.of("itself")
+    (demos,) = evaluated(RECORDINGS, predictor=("hold", "minimum_jerk"))["sets"]
+    assert [facts["name"] for facts in demos["recordings"]] == ["made_up_0", "made_up_1", "made_up_2"]
+    assert names_of(demos) == ["hold", "minimum_jerk", "itself"]
+    found, itself = score_of(demos, "minimum_jerk"), score_of(demos, "itself")
     assert found is not None
     assert itself is not None
-    metric, rng = ReachMetric(MODEL), np.random.default_rng(0)
-    wanted = [
-        metric.between(TimedLine(minimum_jerk).predict(ReachTask.of(entry), rng), entry.active.q)
-        for entry in RECORDINGS
-    ]
-    assert found.values[:, MEAN, JOINT].tolist() == [distance.joint_m for distance in wanted]
-    assert found.average[MEAN, TASK] == pytest.approx(np.mean([distance.task_m for distance in wanted]))
-    assert not itself.average[:, JOINT].any()
-    assert not demos.published  # these are not P2's recordings
+    rng = np.random.default_rng(0)
+    wanted = [reach_distance(MODEL, LINE.predict(ReachTask.of(r), rng), r.active.q) for r in RECORDINGS]
+    assert means(found, JOINT) == [distance.joint_m for distance in wanted]
+    assert found["average"][TASK]["mean"] == pytest.approx(np.mean([distance.task_m for distance in wanted]))
+    assert not any(itself["average"][JOINT].values())
+    assert not demos["published"]  # these are not P2's recordings
 
 
 def test_nothing_is_learned_from_the_reach_to_predict(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: dict[str, list[str]] = {}
 
-    def prepare(material: ReachingMaterial):  # type: ignore[no-untyped-def]
-        def without(name: str) -> TimedLine:
-            asked[name] = [entry.name for entry in material.without(name)]
-            return TimedLine(minimum_jerk)
+    def make(material: ReachingMaterial, tested: str) -> BowedLine:
+        asked[tested] = [entry.name for entry in material.without(tested)]
+        return LINE
 
-        return without
-
-    with_entry(monkeypatch, "watched", ReachingEntry("", prepare))
+    with_entry(monkeypatch, "watched", ReachingEntry("", make))
     case = recording(7, n_frames=40)
-    result = evaluated(RECORDINGS, [case], predictor=("watched",))
+    sets = evaluated(RECORDINGS, [case], predictor=("watched",))["sets"]
     names = [entry.name for entry in RECORDINGS]
     assert asked == {**{name: [n for n in names if n != name] for name in names}, case.name: names}
-    assert [entry.left_out for entry in result.sets] == [True, False]
+    assert [entry["left_out"] for entry in sets] == [True, False]
 
 
 def test_randomness_is_shown_over_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    with_entry(monkeypatch, "shaky", ReachingEntry("", lambda _: lambda name: Shaky(), by_chance=True))
-    a, b = (
-        evaluated(
-            RECORDINGS,
-            predictor=(
-                "shaky",
-                "line",
-            ),
-            runs=4,
-        ).sets[0]
-        for _ in range(2)
+    with_entry(monkeypatch, "shaky", ReachingEntry("", lambda material, tested: Shaky(), BETTER))
+    a, b, other = (
+        evaluated(RECORDINGS, predictor=("shaky", "line"), runs=4, seed=seed)["sets"][0]["predictors"]
+        for seed in (0, 0, 1)
     )
-    shaky, line = a.scores[0], a.scores[1]
-    assert (shaky.runs, line.runs) == (4, 1)
-    joint = shaky.values[0, :, JOINT]
-    assert joint[LEAST] < joint[MEAN] < joint[LARGEST]
-    assert joint[SD] > 0.0
-    assert line.values[0, SD, JOINT] == 0.0
-    np.testing.assert_array_equal(shaky.values, b.scores[0].values)
-    other = evaluated(
-        RECORDINGS,
-        predictor=(
-            "shaky",
-            "line",
-        ),
-        runs=4,
-        seed=1,
-    ).sets[0]
-    assert (other.scores[0].values[0] != shaky.values[0]).any()
+    assert [each["runs"] for each in a[:2]] == [4, 1]
+    joint = a[0]["recordings"][0]["figures"][JOINT]
+    assert joint["low"] < joint["mean"] < joint["high"]
+    assert joint["sd"] > 0.0
+    assert a[1]["recordings"][0]["figures"][JOINT]["sd"] == 0.0
+    assert a[0]["recordings"] == b[0]["recordings"]
+    assert a[0]["recordings"][0] != other[0]["recordings"][0]
 
 
 def test_what_learns_gets_weights_that_have_not_seen_the_tested_reach(monkeypatch: pytest.MonkeyPatch) -> None:
     quick_learning(monkeypatch, 20, collisions=None)
     given: dict[str, FloatArray] = {}
+    plan = reaching_predictors.improved_planner
 
-    def prepare(material: ReachingMaterial):  # type: ignore[no-untyped-def]
-        def without(name: str) -> TimedLine:
-            given[name] = material.weights["improved"].without(name)
-            return TimedLine(minimum_jerk)
+    def improved_planner(known: Any, model: Any, weights: FloatArray, surroundings: Any) -> Any:
+        (tested,) = {"made_up_0", "made_up_1", "made_up_2", "made_up_7"} - {*(r.name for r in known), *left} or {""}
+        given[tested] = weights
+        return plan(known, model, weights, surroundings)
 
-        return without
-
-    with_entry(monkeypatch, "watched", ReachingEntry("", prepare, learns="improved"))
-    case = recording(7, n_frames=40)
-    found = evaluated(
-        RECORDINGS,
-        [case],
-        predictor=(
-            "watched",
-            "own",
-        ),
-        runs=1,
-    )
-    left_out = found.learned["improved"].table.left_out
-    for name, weights in left_out.items():
+    case, left = recording(7, n_frames=40), {"made_up_7"}
+    monkeypatch.setattr(reaching_predictors, "improved_planner", improved_planner)
+    figures = evaluated(RECORDINGS, [case], predictor=("improved", "own"), runs=1)
+    (written,) = figures["weights"]["left_out"]
+    assert written["how"] == "improved"
+    for name, weights in zip(written["recordings"], written["weights"], strict=True):
         np.testing.assert_array_equal(given[name], weights)
-    np.testing.assert_array_equal(given[case.name], found.columns[0].weights)
-    written = json_of(found)["weights"]
-    assert [entry["how"] for entry in written["left_out"]] == ["improved"]
-    np.testing.assert_allclose(written["left_out"][0]["influence"].sum(axis=1), 1.0)
+    np.testing.assert_array_equal(given[""], figures["weights"]["columns"][0]["weights"])
+    np.testing.assert_allclose(written["influence"].sum(axis=1), 1.0)
     # Who learns from the tested reach cannot be tested on one that nothing was learned from.
-    assert [scores.name for scores in found.sets[0].scores] == ["watched", "own", "itself"]
-    assert [scores.name for scores in found.sets[1].scores] == ["watched", "itself"]
-    assert [each["predictor"] for each in found.times] == ["own"]
+    assert names_of(figures["sets"][0]) == ["improved", "own", "itself"]
+    assert names_of(figures["sets"][1]) == ["improved", "itself"]
+    assert [each["predictor"] for each in figures["times"]] == ["improved", "own"]
 
 
 def test_the_reach_nearest_to_1_3_s_is_timed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -199,12 +170,10 @@ def test_the_reach_nearest_to_1_3_s_is_timed(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_recordings_with_jumps_are_tested_and_shown_apart() -> None:
     jumping = dataclasses.replace(RECORDINGS[0], jumps=(Jump("active", 20, "right_wrist", 7.0),))
-    demos = evaluated([jumping, *RECORDINGS[1:]], predictor=("line",)).sets[0]
-    line = demos.scores[0]
-    fit = demos.average_fit(line)
-    assert fit is not None
-    assert fit[MEAN, JOINT] == pytest.approx(line.values[1:, MEAN, JOINT].mean())
-    assert demos.recordings[0]["unfit"]
+    demos = evaluated([jumping, *RECORDINGS[1:]], predictor=("line",))["sets"][0]
+    line = demos["predictors"][0]
+    assert line["average_fit"][JOINT]["mean"] == pytest.approx(np.mean(means(line, JOINT)[1:]))
+    assert demos["recordings"][0]["unfit"]
 
 
 def test_impossible_requests_are_refused() -> None:
@@ -215,10 +184,9 @@ def test_impossible_requests_are_refused() -> None:
 
 
 def test_any_number_of_processes_gives_the_same_figures_and_long_tasks_come_first() -> None:
-    runs = RecordingRuns(ReachingMaterial(RECORDINGS, MODEL), seed=3)
+    predict = partial(predict_recording, ReachingMaterial(RECORDINGS, MODEL), 3)
     tasks = [RecordingTask(name, entry, 2) for name in ("baseline_0", "bow") for entry in RECORDINGS[:2]]
-    here, there = [runs(task) for task in tasks], map_processes(runs, tasks, 2)
-    for one, other in zip(here, there, strict=True):
+    for one, other in zip(map(predict, tasks), map_processes(predict, tasks, 2), strict=True):
         np.testing.assert_array_equal(one.distances_m, other.distances_m)
         np.testing.assert_array_equal(one.wrist_m, other.wrist_m)
         assert len(other.times_s) == 2
@@ -239,8 +207,8 @@ def test_recordings_with_jumps_are_learned_from_where_there_are_no_others(
     quick_learning(monkeypatch, 20)
     jumping = [dataclasses.replace(entry, jumps=(Jump("active", 20, "right_wrist", 7.0),)) for entry in RECORDINGS]
     for entries in (jumping, [RECORDINGS[0], *jumping[1:]]):
-        demos = evaluated(entries, predictor=("improved",), runs=1).sets[0]
-        assert len(demos.scores[0].values) == 3
+        demos = evaluated(entries, predictor=("improved",), runs=1)["sets"][0]
+        assert len(means(demos["predictors"][0], JOINT)) == 3
     assert "made_up_1, made_up_2: nothing else to learn from" in caplog.text
 
 
@@ -255,37 +223,34 @@ def test_a_table_is_there_only_where_the_papers_stood() -> None:
         )
         for entry in RECORDINGS
     ]
-    assert "table_top" in evaluated(RECORDINGS, predictor=("line",)).obstacles
-    assert evaluated(moved, predictor=("line",)).obstacles == ()
+    assert "table_top" in evaluated(RECORDINGS, predictor=("line",))["obstacles"]
+    assert evaluated(moved, predictor=("line",))["obstacles"] == []
 
 
 def test_on_the_papers_recordings_p2_is_reproduced_and_the_default_is_better(monkeypatch: pytest.MonkeyPatch) -> None:
     quick_learning(monkeypatch, 150)
     recordings = list(load_reach_recordings(shared_data("icra2015/demos")))
     cases = list(load_reach_recordings(shared_data("icra2015/interference_case")))
-    names = "minimum_jerk,line,learned,baseline_0,baseline_1,improved"
-    result = evaluated(recordings, cases, predictor=tuple(names.split(",")), runs=1)
-    demos, case = result.sets
-    assert demos.names[0] == "0446-0578"  # the paper's order
-    assert (len(demos.published), len(case.published), case.names) == (7, 2, (INTERFERENCE_CASE,))
-    average = {scores.name: scores.average[MEAN] for scores in demos.scores}
+    names = ("minimum_jerk", "line", "learned", "baseline_0", "baseline_1", "improved")
+    figures = evaluated(recordings, cases, predictor=names, runs=1)
+    demos, case = figures["sets"]
+    assert demos["recordings"][0]["name"] == "0446-0578"  # the paper's order
+    assert [facts["name"] for facts in case["recordings"]] == [INTERFERENCE_CASE]
+    assert (len(demos["published"]), len(case["published"])) == (7, 2)
+    mean = {each["name"]: {d: each["average"][d]["mean"] for d in DISTANCES} for each in demos["predictors"]}
     for distance in (AS_CODED, TASK):
-        assert average["learned"][distance] < average["baseline_0"][distance] < average["baseline_1"][distance]
-    published = demos.published_of("learned")
-    assert published is not None
-    wanted = (published.joint_m, published.task_as_coded_m)
-    np.testing.assert_allclose(average["learned"][:TASK], wanted, rtol=0.15)
-    assert average["improved"][JOINT] <= 20.0
-    assert average["improved"][TASK] <= 16.5
+        assert mean["learned"][distance] < mean["baseline_0"][distance] < mean["baseline_1"][distance]
+    for distance in (JOINT, AS_CODED):
+        assert mean["learned"][distance] == pytest.approx(published_of(demos, "learned")[distance], rel=0.15)
+    assert mean["improved"][JOINT] <= 20.0
+    assert mean["improved"][TASK] <= 16.5
     for distance in (JOINT, TASK):
-        wins = demos.wins("improved", distance)
-        assert wins is not None
-        assert wins >= 6  # of 7
-    assert demos.wins("line", JOINT) == 0
-    assert demos.wins("nobody", JOINT) is None
-    written = json_of(result)
-    assert written["table1"]["2711-2823"] == (25.56, 45.69)
-    assert "wrist_m" not in str(written)
+        better = wins(demos, "improved", distance)
+        assert better is not None
+        assert better >= 6  # of 7
+    assert wins(demos, "line", JOINT) == 0
+    assert wins(demos, "nobody", JOINT) is None
+    assert plain(figures)["table1"]["2711-2823"] == [25.56, 45.69]
 
 
 def rested(entry: ReachRecording, rest_s: float) -> ReachRecording:
@@ -311,14 +276,7 @@ def test_the_default_beats_minimum_jerk_on_recordings_of_another_kind(
 ) -> None:
     quick_learning(monkeypatch, 200)
     recordings = change(list(load_reach_recordings(shared_data("icra2015/demos"))))
-    found = evaluated(
-        recordings,
-        predictor=(
-            "minimum_jerk",
-            "improved",
-        ),
-        runs=2,
-    ).sets[0]
-    line, improved = found.scores[:2]
+    found = evaluated(recordings, predictor=("minimum_jerk", "improved"), runs=2)["sets"][0]
+    line, improved = found["predictors"][:2]
     for distance in (JOINT, TASK):
-        assert improved.average[MEAN, distance] < line.average[MEAN, distance]
+        assert improved["average"][distance]["mean"] < line["average"][distance]["mean"]

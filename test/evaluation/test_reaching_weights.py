@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import pickle
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,12 +15,11 @@ from humanpred_ros.evaluation.reaching_weights import (
     LEARNING,
     PUBLISHED,
     LearnedWeights,
-    Recovery,
-    RecoveryRun,
     feature_deviation,
     influence,
     known_weights,
     learn_all,
+    recover,
     recovery_figures,
     spread,
     weight_columns,
@@ -48,19 +47,21 @@ def test_leaving_one_out_is_learning_from_the_others() -> None:
     config = LEARNING[IMPROVED].replaced(sampling=LEARNING[IMPROVED].sampling.replaced(n_samples=30), bootstrap=0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reaching_weights, "LEARNING", {IMPROVED: config})
-        table = learn_all(RECORDINGS, MODEL, IMPROVED, seed=5).table
+        found = learn_all(RECORDINGS, MODEL, IMPROVED, seed=5)
     learner = ReachLearner(RECORDINGS, MODEL, config.replaced(seed=5))
     for name in NAMES:
         others = learner.learn([other for other in NAMES if other != name])
-        np.testing.assert_array_equal(table.without(name), others.weights)
-    np.testing.assert_array_equal(table.without("somebody else"), learner.learn().weights)
+        np.testing.assert_array_equal(found.each[name], others.weights)
+    np.testing.assert_array_equal(found.everything.weights, learner.learn().weights)
 
 
-def test_tables_travel_to_processes(quick: dict[str, LearnedWeights]) -> None:
-    for how, learned in quick.items():
-        copy = pickle.loads(pickle.dumps(learned.table))
-        np.testing.assert_array_equal(copy.without(NAMES[0]), learned.table.without(NAMES[0]))
-        assert list(copy.alone) == (NAMES if how == ALONE else [])
+def test_alone_is_learning_from_each(quick: dict[str, LearnedWeights]) -> None:
+    config = LEARNING[ALONE]
+    config = config.replaced(sampling=config.sampling.replaced(n_samples=40), collisions=None, bootstrap=0, seed=1)
+    learner = ReachLearner(RECORDINGS, MODEL, config)
+    assert list(quick[ALONE].each) == NAMES
+    for name in NAMES:
+        np.testing.assert_array_equal(quick[ALONE].each[name], learner.learn([name]).weights)
 
 
 def test_influence_is_shares() -> None:
@@ -77,13 +78,13 @@ def test_influence_forgets_the_scale_of_the_weights() -> None:
 
 def test_every_column_sums_to_one(quick: dict[str, LearnedWeights]) -> None:
     columns = weight_columns(quick, np.ones(N_FEATURES))
-    assert [column.name for column in columns] == [PUBLISHED, IMPROVED, ALONE, "authors_static", "authors_dynamic"]
+    assert [column["name"] for column in columns] == [PUBLISHED, IMPROVED, ALONE, "authors_static", "authors_dynamic"]
     for column in columns:
-        assert column.influence.sum() == pytest.approx(1.0)
-    assert columns[0].spread is not None
-    assert columns[-1].spread is None
+        assert column["influence"].sum() == pytest.approx(1.0)
+    assert columns[0]["spread"] is not None
+    assert columns[-1]["spread"] is None
     few = weight_columns({IMPROVED: quick[IMPROVED]}, np.ones(N_FEATURES))
-    assert [column.name for column in few] == [IMPROVED, "authors_static", "authors_dynamic"]
+    assert [column["name"] for column in few] == [IMPROVED, "authors_static", "authors_dynamic"]
 
 
 def test_statistics_are_those_of_the_paper() -> None:
@@ -95,38 +96,38 @@ SAMPLES = (2, 6, 20)
 
 
 @pytest.fixture(scope="module")
-def run() -> RecoveryRun:
-    return Recovery(RECORDINGS[:2], MODEL, SAMPLES, seed=0)(1)
+def run() -> dict[str, Any]:
+    return recover(RECORDINGS[:2], MODEL, SAMPLES, 0, 1)
 
 
-def test_a_run_compares_every_demonstration(run: RecoveryRun) -> None:
-    assert set(run.learned) == {"published", "improved, distances too"}
-    for shares in (*run.learned.values(), run.best_sample):
+def test_a_run_compares_every_demonstration(run: dict[str, Any]) -> None:
+    assert set(run["learned"]) == {"published", "improved, distances too"}
+    for shares in (*run["learned"].values(), run["best_sample"]):
         assert shares.shape == (3, 2)
         assert np.isfinite(shares).all()
     # Of more samples the best can only be better; none of so few is as good as what was planned.
-    assert (np.diff(run.best_sample, axis=0) <= 0.0).all()
-    assert (run.best_sample > 0.0).all()
+    assert (np.diff(run["best_sample"], axis=0) <= 0.0).all()
+    assert (run["best_sample"] > 0.0).all()
 
 
 def test_who_finds_the_known_weights_pays_nothing_more(monkeypatch: pytest.MonkeyPatch) -> None:
     exact = PiirlSolution(known_weights(), 0.0, np.zeros(24, dtype=np.bool_))
     monkeypatch.setattr(reaching_weights, "learn_weights", lambda found, config: exact)
-    found = Recovery(RECORDINGS[:2], MODEL, (2,), seed=0)(0)
-    for shares in found.learned.values():
+    found = recover(RECORDINGS[:2], MODEL, (2,), 0, 0)
+    for shares in found["learned"].values():
         np.testing.assert_array_equal(shares, 0.0)
 
 
-def test_repetitions_differ_and_come_again(run: RecoveryRun) -> None:
-    few = Recovery(RECORDINGS[:2], MODEL, SAMPLES, seed=0)
-    np.testing.assert_array_equal(few(1).best_sample, run.best_sample)
-    assert (few(0).best_sample != run.best_sample).all()
+def test_repetitions_differ_and_come_again(run: dict[str, Any]) -> None:
+    again, other = (recover(RECORDINGS[:2], MODEL, SAMPLES, 0, repetition)["best_sample"] for repetition in (1, 0))
+    np.testing.assert_array_equal(again, run["best_sample"])
+    assert (other != run["best_sample"]).all()
 
 
 def test_figures_are_percent_of_means_over_demonstrations() -> None:
-    def made_up(x: float) -> RecoveryRun:
+    def made_up(x: float) -> dict[str, Any]:
         shares = np.array([[x, 3.0 * x]])
-        return RecoveryRun({"published": shares}, 2.0 * shares, shares[0])
+        return {"learned": {"published": shares}, "best_sample": 2.0 * shares, "line": shares[0]}
 
     figures = recovery_figures([made_up(0.1), made_up(0.2)], (5,))
     assert figures["demonstrations"] == 2

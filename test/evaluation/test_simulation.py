@@ -39,7 +39,7 @@ class Noise(Predictor):
 def test_every_reader_reads_what_the_predictor_said() -> None:
     wanted = list(predicted(Noise(), MOTION, 0.001, 3))
     shared = PredictedOccupancies(Noise(), MOTION, 0.001, 3)
-    one, other = iter(shared), shared.since(4)
+    one, other = shared.since(0), shared.since(4)
     read = [next(one), next(one), next(other), *one]
     assert len(wanted) == len(MOTION) + 3
     for k, which in enumerate([0, 1, 4, *range(2, len(wanted))]):
@@ -52,7 +52,7 @@ def test_nothing_is_predicted_before_somebody_reads_it() -> None:
     predictor = Noise()
     shared = PredictedOccupancies(predictor, MOTION, 0.001, 1000)
     shared.after(2)
-    list(itertools.islice(shared, 5))
+    list(itertools.islice(shared.since(0), 5))
     assert len(predictor.seen) == 5
     assert np.array_equal(shared.after(2).probability, next(shared.since(2)).probability)
 

@@ -23,7 +23,7 @@ from humanpred_ros.bags.messages import point_cloud2_fields
 from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.evaluation.demo import DemoSettings, period_of, run_demo
 from humanpred_ros.evaluation.reproduce import compare_bags, replay_run
-from humanpred_ros.evaluation.simulation import run_direct
+from humanpred_ros.evaluation.simulation import drive, predicted
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion
@@ -168,7 +168,7 @@ def test_a_stepped_run_decides_as_the_library_called_directly(run: Path, bag: Ba
     settings = StompPlannerSettings(period_s=period_of(motion, OPTIONS.steps), seed=OPTIONS.seed, threads=1)
     replanner = Replanner.for_scene(scene, settings.replanner_config())
     n_held = int(OPTIONS.hold_last_s / motion.period_s)
-    direct = run_direct(scene, predictor, replanner, motion, OPTIONS.threshold, n_held)
+    direct = drive(replanner, scene.start, predicted(predictor, motion, OPTIONS.threshold, n_held), len(motion))
     over_dds = by_stamp(bag, topics.DECISION)
     assert len(direct) == len(over_dds)
     origin_ns = next(iter(over_dds))

@@ -10,7 +10,7 @@ from paths import shared_data
 from reaching_people import MODEL, recording
 
 from humanpred_ros.errors import MotionError, PlanningError, SettingsError
-from humanpred_ros.evaluation.reach_distances import ReachMetric
+from humanpred_ros.evaluation.reach_distances import reach_distance
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
 from humanpred_ros.reaching.features import NAMED_WEIGHTS
@@ -76,7 +76,7 @@ def test_on_the_interference_case_p2s_trunk_drifts_to_where_others_stood() -> No
         predictor = planned_prediction(demos, MODEL, NAMED_WEIGHTS["authors_static"], bounds=bounds)
         q = predictor.predict(task, np.random.default_rng(0))
         beyond.append(float(low - q[:, k].min()))
-        joint_m.append(ReachMetric(MODEL).between(q, case.active.q).joint_m)
+        joint_m.append(reach_distance(MODEL, q, case.active.q).joint_m)
     assert beyond[1] <= 0.03 < beyond[0]
     assert joint_m[1] < 0.9 * joint_m[0]
 
@@ -105,12 +105,12 @@ def test_bad_input_is_refused() -> None:
 
 def test_on_p2s_recordings_it_is_better_than_the_authors() -> None:
     recordings = load_reach_recordings(shared_data("icra2015/demos"))
-    metric, found = ReachMetric(MODEL), []
+    found = []
     for left_out in recordings:
         others = [r for r in recordings if r.name != left_out.name]
         predictor = PlannedPrediction(improved_planner(others, MODEL, NAMED_WEIGHTS["authors_static"]))
         q = predictor.predict(ReachTask.of(left_out), np.random.default_rng(0))
-        d = metric.between(q, left_out.active.q)
+        d = reach_distance(MODEL, q, left_out.active.q)
         found.append((d.joint_m, d.task_as_coded_m, d.task_m))
     # P2's Table II: 30.98 / 42.18; minimum jerk 23.12 / 43.63 / 18.93.
     assert (np.mean(found, axis=0) < (23.12, 42.18, 18.93)).all()
@@ -201,9 +201,9 @@ def test_replanning_helps_where_the_partner_comes_in_the_way() -> None:
     demos = load_reach_recordings(shared_data("icra2015/demos"))
     (case,) = load_reach_recordings(shared_data("icra2015/interference_case"))
     planner = ReachPlanner(MODEL, NAMED_WEIGHTS["authors_static"], PostureBounds.from_recordings(demos, MODEL), SCENE)
-    metric, task = ReachMetric(MODEL), ReachTask.of(case)
+    task = ReachTask.of(case)
     once, again = (
-        metric.between(predictor.predict(task, np.random.default_rng(0)), case.active.q)
+        reach_distance(MODEL, predictor.predict(task, np.random.default_rng(0)), case.active.q)
         for predictor in (PlannedPrediction(planner), PlannedPrediction(planner, STEP_S))
     )
     # P2's Table III: 52.89 / 49.22 without, 44.91 / 36.20 with.

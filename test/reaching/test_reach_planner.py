@@ -11,7 +11,7 @@ from paths import shared_data
 from reaching_people import GOAL, MODEL, PARTNER, START, recording
 
 from humanpred_ros.errors import HumanModelError, MotionError, PlanningError
-from humanpred_ros.evaluation.reach_distances import ReachMetric
+from humanpred_ros.evaluation.reach_distances import reach_distance
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
@@ -192,12 +192,13 @@ def test_named_weights_are_24_of_0_or_more(name: str) -> None:
 
 def test_on_p2s_recordings_the_authors_weights_lie_between_the_baselines_in_task_space() -> None:
     recordings = load_reach_recordings(shared_data("icra2015/demos"))
-    metric, found = ReachMetric(MODEL), []
+    found = []
     bounds = PostureBounds.from_recordings(recordings, MODEL)
     for name in ("authors_static", "baseline_0", "baseline_1"):
         predictor = PlannedPrediction(ReachPlanner(MODEL, NAMED_WEIGHTS[name], bounds, SCENE))
         distances = [
-            metric.between(predictor.predict(ReachTask.of(r), np.random.default_rng(0)), r.active.q) for r in recordings
+            reach_distance(MODEL, predictor.predict(ReachTask.of(r), np.random.default_rng(0)), r.active.q)
+            for r in recordings
         ]
         found.append(np.mean([[d.joint_m, d.task_as_coded_m] for d in distances], axis=0))
     learned, none, conservative = np.array(found)
