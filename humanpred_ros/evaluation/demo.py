@@ -27,9 +27,9 @@ from humanpred_ros.recognition.training import classifier_settings
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import Scene, load_scene
 from humanpred_ros.settings import Settings, setting, setting_of
+from humanpred_ros.viewing.analysis import RunSummary
 from humanpred_ros.viewing.key_figures import print_summary
 from humanpred_ros.viewing.report import report_run
-from humanpred_ros.viewing.run_summary import RunSummary
 
 _POLL_S = 0.05
 _SETTLE_S = 0.3  # the last messages reach the recorder after the tracker has ended

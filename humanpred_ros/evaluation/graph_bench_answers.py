@@ -10,15 +10,15 @@ from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from humanpred_ros import topics
 from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.errors import BagError
-from humanpred_ros.viewing import run_topics
-from humanpred_ros.viewing.tracks import RecordedDecision
+from humanpred_ros.viewing.recorded import RecordedDecision, decision_of
+from humanpred_ros.viewing.run import Entry, stamped
 
 _READY = "ready"
 _PLANNER = "stomp_planner"
@@ -47,15 +47,6 @@ class Answers:
     ready_s: float
 
 
-class _Heard(NamedTuple):
-    """A message: header stamp, when it was sent and when the recorder received it, ns; and the message."""
-
-    stamp_ns: int
-    sent_ns: int
-    heard_ns: int
-    message: Any
-
-
 class PostureAnswer(NamedTuple):
     """A posture and the occupancy that answered it.
 
@@ -81,10 +72,10 @@ def posture_answers(reader: BagReader) -> tuple[PostureAnswer, ...]:
     Raises:
         BagError: no postures, or a damaged bag.
     """
-    postures = _heard(reader, topics.body_topic(reader.topics, topics.human_joint_states))
+    postures = list(stamped(reader, topics.body_topic(reader.topics, topics.human_joint_states)))
     if not postures:
         raise BagError(f"{reader.path}: wanted a run with postures, got none; did the tracker start?")
-    heard_ns = {entry.stamp_ns: entry.heard_ns for entry in _heard(reader, topics.OCCUPANCY)}
+    heard_ns = {entry.stamp_ns: entry.heard_ns for entry in stamped(reader, topics.OCCUPANCY)}
     return tuple(PostureAnswer(entry.stamp_ns, entry.sent_ns, heard_ns.get(entry.stamp_ns)) for entry in postures)
 
 
@@ -102,17 +93,17 @@ def answers_of(bag: Path, period_s: float, planner_started_ns: int) -> Answers:
     reader = BagReader(bag)
     answers = posture_answers(reader)
     sent_ns = {answer.stamp_ns: answer.sent_ns for answer in answers}
-    decisions = [(entry, run_topics.decision_of(entry.message, 0.0, 0.0)) for entry in _heard(reader, topics.DECISION)]
+    decisions = [(entry, decision_of(entry.message, 0.0, 0.0)) for entry in stamped(reader, topics.DECISION)]
     steps = [(entry, decision) for entry, decision in decisions if decision.is_step]
 
-    def delays_ms(heard: Iterable[_Heard]) -> list[float]:
+    def delays_ms(heard: Iterable[Entry]) -> list[float]:
         return [(entry.heard_ns - sent_ns[entry.stamp_ns]) * 1e-6 for entry in heard if entry.stamp_ns in sent_ns]
 
     return Answers(
         {
             "occupancy_ms": [answer.delay_ms for answer in answers if answer.heard_ns is not None],
             "step_ms": delays_ms(entry for entry, _ in steps),
-            "trajectory_ms": delays_ms(_stamped_by_step(_heard(reader, topics.TRAJECTORY), decisions)),
+            "trajectory_ms": delays_ms(_stamped_by_step(stamped(reader, topics.TRAJECTORY), decisions)),
             "compute_ms": [1e3 * decision.compute_s for _, decision in steps],
         },
         [min((goal.iterations for goal in decision.goals if goal.iterations), default=0) for _, decision in steps],
@@ -132,19 +123,9 @@ def skipped_steps(stamps_s: Sequence[float], period_s: float) -> int:
     return int(np.maximum(np.floor((gaps + _DUE_TOLERANCE_S) / period_s) - 1, 0).sum())
 
 
-def _heard(reader: BagReader, topic: str | None) -> list[_Heard]:
-    if topic is None or topic not in reader.topics:
-        return []
-    found = []
-    for record in reader.messages([topic]):
-        message = reader.decode(record)
-        found.append(_Heard(run_topics.stamp_ns(message), record.publish_time_ns, record.log_time_ns, message))
-    return found
-
-
 def _stamped_by_step(
-    trajectories: Iterable[_Heard], decisions: Sequence[tuple[_Heard, RecordedDecision]]
-) -> Iterable[_Heard]:
+    trajectories: Iterable[Entry], decisions: Sequence[tuple[Entry, RecordedDecision]]
+) -> Iterable[Entry]:
     """Give each trajectory of a replanning step the step's stamp: it was sent right before its decision."""
     order = sorted(decisions, key=lambda entry: entry[0].sent_ns)
     times = [entry.sent_ns for entry, _ in order]
@@ -155,7 +136,7 @@ def _stamped_by_step(
 
 
 def _ready_s(reader: BagReader, started_ns: int) -> float:
-    for entry in _heard(reader, topics.DIAGNOSTICS):
+    for entry in stamped(reader, topics.DIAGNOSTICS):
         for status in entry.message.status:
             if status.name == _PLANNER and status.message == _READY:
                 return (entry.sent_ns - started_ns) * 1e-9

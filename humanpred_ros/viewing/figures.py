@@ -91,6 +91,24 @@ def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
+def new_panel(height_in: float, width_in: float = WIDTH_IN) -> tuple[Figure, Axes]:
+    """Return an empty figure with one pair of axes."""
+    figure = new_figure(height_in, width_in)
+    return figure, figure.add_subplot()
+
+
+def label_above(axes: Axes, x: float, text: str, colour: str, *, align: str = "left", y: float = 1.04) -> None:
+    """Write above the axes, at `x` in data and `y` in units of the axes' height."""
+    axes.annotate(
+        text, (x, y), xycoords=("data", "axes fraction"), ha=align, va="bottom", fontsize=8, color=colour
+    )  # fmt: skip
+
+
+def legend_beside(axes: Axes, **what: Any) -> None:
+    """Put the legend on the right of the axes."""
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), **what)
+
+
 def svg_of(figure: Figure, key: str) -> str:
     """Return the figure as an SVG element for embedding in HTML.
 

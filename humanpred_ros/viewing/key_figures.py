@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from humanpred_ros.viewing.analysis import Belief, RunSummary, StepRow
+from humanpred_ros.viewing.recorded import LatencyFigures
 from humanpred_ros.viewing.reliability import MOVING
-from humanpred_ros.viewing.run_summary import (
-    Belief,
-    Interruption,
-    LatencyFigures,
-    OccupancyCalibration,
-    RunSummary,
-    StepRow,
-)
 
 #: Values of one figure that are listed.
 _MOST_LISTED = 3
 
 
-@dataclass(frozen=True)
-class KeyFigure:
+class KeyFigure(NamedTuple):
     """A figure of a run: what it is, its value with unit, a remark, and whether it is bad news."""
 
     name: str
@@ -34,26 +27,16 @@ class KeyFigure:
     alarming: bool = False
 
 
+#: What is said of a figure: value, remark, and perhaps whether it is bad news; None where it is left out.
+_Said = tuple[str, str] | tuple[str, str, bool] | None
+
+
 def key_figures(summary: RunSummary) -> list[KeyFigure]:
     """Return the figures of a run in the order of interest."""
-    figures = [_goal_figure(summary), _closest_figure(summary), _switch_figure(summary), _recognition_figure(summary)]
-    if any(belief.unknown_max > 0.0 for belief in summary.beliefs):
-        figures.append(_unknown_figure(summary.beliefs))
-    figures += [_calibration_figure(part) for name, part in summary.calibration.items() if name == MOVING]
-    figures.append(_steps_figure(summary))
-    figures += [_latency_figure(name, latency) for name, latency in summary.latency.items()]
-    figures.append(_latency_figure("planning one step", summary.planning))
-    if summary.peak_velocity is not None:
-        value = f"{100.0 * summary.peak_velocity:.0f} %"
-        alarming = summary.peak_velocity > 1.0 + 1e-6
-        figures.append(KeyFigure("fastest joint", value, "of its velocity limit", alarming))
-    return figures
-
-
-def interruptions(summary: RunSummary) -> list[tuple[str, Interruption]]:
-    """Return when the arm worked on no goal, with what it did instead, in time order."""
-    both = [("stops", hold) for hold in summary.holds] + [("moves aside", evasion) for evasion in summary.evasions]
-    return sorted(both, key=lambda entry: entry[1].t_s)
+    figures: list[tuple[str, _Said]] = [(name, say(summary)) for name, say in _FIGURES.items()]
+    figures += [(name, _latency(latency)) for name, latency in summary.latency.items()]
+    figures += [("planning one step", _latency(summary.planning)), ("fastest joint", _peak_velocity(summary))]
+    return [KeyFigure(name, *said) for name, said in figures if said is not None]
 
 
 def print_summary(summary: RunSummary, console: Console) -> None:
@@ -68,7 +51,7 @@ def print_summary(summary: RunSummary, console: Console) -> None:
     for figure in key_figures(summary):
         text = f"{escape(figure.value)}  [dim]{escape(figure.remark)}[/dim]"
         table.add_row(escape(figure.name), f"[red]{text}[/red]" if figure.alarming else text)
-    for what, part in interruptions(summary):
+    for what, part in summary.interruptions:
         table.add_row(f"arm {what}", f"{part.t_s:.2f} to {part.until_s:.2f} s: {escape(part.reason)}")
     table.add_row("duration", f"{summary.duration_s:.2f} s of data, {summary.wall_s:.1f} s of wall time")
     console.print(table)
@@ -98,72 +81,66 @@ def _steps_table(summary: RunSummary) -> Table:
             _chosen(row),
             _text(row.compute_ms, ".0f"),
         ]
-        table.add_row(*cells, style="bold" if row.switched and not row.missed else ("red" if row.missed else None))
+        table.add_row(*cells, style="red" if row.missed else "bold" if row.switched else None)
     return table
 
 
 def _chosen(row: StepRow) -> str:
     """Return the goal with what is special about the step, short enough for a terminal of 80 columns."""
-    if row.missed or row.instead:
-        return "missed" if row.missed else row.instead
-    return ("→ " if row.switched else "") + escape(row.chosen)
+    return row.lost_to or ("→ " if row.switched else "") + escape(row.chosen)
 
 
 def _text(value: float | None, form: str, unit: str = "") -> str:
     return "–" if value is None else f"{value:{form}}{unit}"
 
 
-def _goal_figure(summary: RunSummary) -> KeyFigure:
-    if summary.reached is None:
-        return KeyFigure("goal reached", "none", "within the recorded time", alarming=True)
-    remark = f"after {summary.reached.t_s:.2f} s; final joint error {1e3 * summary.reached.error_rad:.1f} mrad"
-    return KeyFigure("goal reached", summary.reached.goal, remark)
+def _reached(summary: RunSummary) -> _Said:
+    reached = summary.reached
+    if reached is None:
+        return "none", "within the recorded time", True
+    return reached.goal, f"after {reached.t_s:.2f} s; final joint error {1e3 * reached.error_rad:.1f} mrad"
 
 
-def _closest_figure(summary: RunSummary) -> KeyFigure:
+def _closest(summary: RunSummary) -> _Said:
     closest = summary.closest
     if closest is None:
-        return KeyFigure("closest to human", "–", "not known")
+        return "–", "not known"
     remark = f"at {closest.t_s:.2f} s, {closest.robot_link} – {closest.human_body}"
-    return KeyFigure(
-        "closest to human", f"{100.0 * closest.distance_m:.1f} cm", remark, alarming=closest.distance_m <= 0.0
-    )
+    return f"{100.0 * closest.distance_m:.1f} cm", remark, closest.distance_m <= 0.0
 
 
-def _switch_figure(summary: RunSummary) -> KeyFigure:
+def _switch(summary: RunSummary) -> _Said:
     if not summary.switches:
         chosen = next((row.chosen for row in summary.steps if row.chosen), "")
-        return KeyFigure("switch of goal", "none", f"{chosen} chosen throughout" if chosen else "no goal was chosen")
+        return "none", f"{chosen} chosen throughout" if chosen else "no goal was chosen"
     first = summary.switches[0]
     share = "" if first.percent is None else f" at {first.percent:.0f} % of the reach"
     more = f"; {len(summary.switches)} switches in all" if len(summary.switches) > 1 else ""
     remark = f"{first.goal_before} to {first.goal_after}{share}, in effect in step {first.step_in_effect}{more}"
-    return KeyFigure("switch of goal", f"step {first.step}", remark)
+    return f"step {first.step}", remark
 
 
-def _recognition_figure(summary: RunSummary) -> KeyFigure:
+def _recognition(summary: RunSummary) -> _Said:
     recognised, beliefs = summary.recognised, summary.beliefs
     if recognised is None and beliefs:
         found = ["none" if belief.rather_unknown else f"class {belief.best_class}" for belief in beliefs]
-        remark = f"most probable {_at_the_end(beliefs)}; the true class is not known"
-        return KeyFigure("reach recognised", _listed(found), remark)
+        return _listed(found), f"most probable {_at_the_end(beliefs)}; the true class is not known"
     if recognised is None:
-        return KeyFigure("reach recognised", "–", "no posterior was recorded that tells classes apart")
+        return "–", "no posterior was recorded that tells classes apart"
     if recognised.t_s is None:
-        return KeyFigure("reach recognised", "no", f"true class {recognised.true_class}", alarming=True)
+        return "no", f"true class {recognised.true_class}", True
     share = f"{recognised.t_s:.2f} s" if recognised.percent is None else f"at {recognised.percent:.0f} %"
-    remark = f"class {recognised.true_class}, most probable from {recognised.t_s:.2f} s on"
-    return KeyFigure("reach recognised", share, remark)
+    return share, f"class {recognised.true_class}, most probable from {recognised.t_s:.2f} s on"
 
 
-def _unknown_figure(beliefs: Sequence[Belief]) -> KeyFigure:
-    most = max(beliefs, key=lambda belief: belief.unknown_max)
-    return KeyFigure(
-        "probability of no known class",
-        _listed([f"{100.0 * belief.unknown:.0f} %" for belief in beliefs]),
-        f"{_at_the_end(beliefs)}; at most {100.0 * most.unknown_max:.0f} % at {most.unknown_max_s:.2f} s",
-        alarming=any(belief.rather_unknown for belief in beliefs),
-    )
+def _unknown(summary: RunSummary) -> _Said:
+    beliefs = summary.beliefs
+    most = max(beliefs, key=lambda belief: belief.unknown_max, default=None)
+    if most is None or most.unknown_max <= 0.0:
+        return None
+    remark = f"{_at_the_end(beliefs)}; at most {100.0 * most.unknown_max:.0f} % at {most.unknown_max_s:.2f} s"
+    listed = _listed([f"{100.0 * belief.unknown:.0f} %" for belief in beliefs])
+    return listed, remark, any(belief.rather_unknown for belief in beliefs)
 
 
 def _at_the_end(beliefs: Sequence[Belief]) -> str:
@@ -175,23 +152,42 @@ def _listed(texts: Sequence[str]) -> str:
     return ", ".join(texts[:_MOST_LISTED]) + (", …" if len(texts) > _MOST_LISTED else "")
 
 
-def _calibration_figure(part: OccupancyCalibration) -> KeyFigure:
+def _calibration(summary: RunSummary) -> _Said:
+    part = summary.calibration.get(MOVING)
+    if part is None:
+        return None
     missed = "nothing was swept" if part.missed is None else f"{100.0 * part.missed:.1f} % of the swept voxels missed"
-    value = "–" if part.error is None else f"{part.error:.2f}"
-    return KeyFigure("calibration error of the occupancy", value, f"mean of |predicted – observed|; {missed}")
+    return _text(part.error, ".2f"), f"mean of |predicted – observed|; {missed}"
 
 
-def _steps_figure(summary: RunSummary) -> KeyFigure:
-    remark = f"{len(summary.holds)} hold{'s' if len(summary.holds) != 1 else ''}" if summary.holds else "no hold"
-    if summary.evasions:
-        times = {1: "once", 2: "twice"}.get(len(summary.evasions), f"{len(summary.evasions)} times")
+def _steps(summary: RunSummary) -> _Said:
+    holds, evasions = len(summary.holds), len(summary.evasions)
+    remark = f"{holds} hold{'s' if holds != 1 else ''}" if holds else "no hold"
+    if evasions:
+        times = {1: "once", 2: "twice"}.get(evasions, f"{evasions} times")
         remark += f"; moved out of the person's way {times}"
     value = f"{summary.missed} of {len(summary.steps)} missed" if summary.missed else str(len(summary.steps))
-    return KeyFigure("replanning steps", value, remark, alarming=bool(summary.missed or summary.holds))
+    return value, remark, bool(summary.missed or holds)
 
 
-def _latency_figure(name: str, latency: LatencyFigures) -> KeyFigure:
-    if latency.median_ms is None or latency.p99_ms is None:
-        return KeyFigure(name, "–", "no samples")
-    remark = f"median of {latency.count}; 99 % below {latency.p99_ms:.1f} ms"
-    return KeyFigure(name, f"{latency.median_ms:.1f} ms", remark)
+def _latency(latency: LatencyFigures) -> _Said:
+    if latency.median_ms is None:
+        return "–", "no samples"
+    return f"{latency.median_ms:.1f} ms", f"median of {latency.count}; 99 % below {latency.p99_ms:.1f} ms"
+
+
+def _peak_velocity(summary: RunSummary) -> _Said:
+    share = summary.peak_velocity
+    return None if share is None else (f"{100.0 * share:.0f} %", "of its velocity limit", share > 1.0 + 1e-6)
+
+
+#: The figures that every run has, as far as they are known.
+_FIGURES: dict[str, Callable[[RunSummary], _Said]] = {
+    "goal reached": _reached,
+    "closest to human": _closest,
+    "switch of goal": _switch,
+    "reach recognised": _recognition,
+    "probability of no known class": _unknown,
+    "calibration error of the occupancy": _calibration,
+    "replanning steps": _steps,
+}

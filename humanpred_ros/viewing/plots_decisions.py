@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.viewing.analysis import Analysis, RunSummary
 from humanpred_ros.viewing.figures import (
     ALARM,
     CAUTION,
@@ -23,11 +24,11 @@ from humanpred_ros.viewing.figures import (
     WASH,
     class_style,
     empty_figure,
-    new_figure,
+    label_above,
+    legend_beside,
+    new_panel,
 )
 from humanpred_ros.viewing.plots_time import mark_events
-from humanpred_ros.viewing.run import Run
-from humanpred_ros.viewing.run_summary import RunSummary, StepRow
 
 #: Classes that never reach this probability share the legend's last entry.
 _NEVER_LIKELY = 0.05
@@ -41,13 +42,12 @@ _SHADED = {
 }
 
 
-def posterior_plot(run: Run, summary: RunSummary, colours: Mapping[str, str]) -> Figure:
+def posterior_plot(analysis: Analysis) -> Figure:
     """Return the class posterior over time."""
-    track = run.posterior
+    track, summary = analysis.run.posterior, analysis.summary
     if not len(track):
         return empty_figure("no class posterior was recorded")
-    figure = new_figure(3.1)
-    axes = figure.add_subplot()
+    figure, axes = new_panel(3.1)
     hidden = []
     for k, label in enumerate(track.labels):
         column = track.probability[:, k]
@@ -68,76 +68,74 @@ def posterior_plot(run: Run, summary: RunSummary, colours: Mapping[str, str]) ->
         axes.plot([], [], color="none", label=f"never above {_NEVER_LIKELY:.0%}:\n{', '.join(hidden)}")
     axes.set_ylim(-0.02, 1.02)
     axes.set_ylabel("probability")
-    mark_events(axes, run, summary, colours)
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    mark_events(axes, analysis)
+    legend_beside(axes)
     return figure
 
 
-def goal_costs_plot(run: Run, summary: RunSummary, colours: Mapping[str, str]) -> Figure:
+def goal_costs_plot(analysis: Analysis) -> Figure:
     """Return the selection cost of every goal at every replanning step, as in P1 Fig. 9."""
+    run, summary, colours = analysis.run, analysis.summary, analysis.colours
     if not summary.steps:
         return empty_figure("no replanning step was recorded")
-    figure = new_figure(3.6)
-    axes = figure.add_subplot()
+    figure, axes = new_panel(3.6)
     number = np.array([row.step for row in summary.steps])
     costs = {goal: _column([row.costs.get(goal) for row in summary.steps]) for goal in summary.goals}
     _log_scale(axes, np.concatenate(list(costs.values())))
     for k, (goal, cost) in enumerate(costs.items()):
         style = {"color": colours[goal], "linestyle": DASHES[k % len(DASHES)]}
         axes.plot(number, cost, marker=MARKERS[k % len(MARKERS)], markersize=4.5, label=goal, **style)
-        chosen = np.array([row.chosen == goal and row.effective for row in summary.steps])
+        chosen = np.array([row.chosen == goal and not row.lost_to for row in summary.steps])
         axes.plot(
             number[chosen], cost[chosen], marker="o", markersize=11, linestyle="none",
             markerfacecolor="none", markeredgecolor=colours[goal], markeredgewidth=1.4,
         )  # fmt: skip
-        for step, decision in zip(number, run.steps, strict=True):
-            plan = next((plan for plan in decision.goals if plan.name == goal), None)
-            if plan is not None and plan.set_aside and np.isfinite(plan.selection_cost):
+        plans = [(decision.step, plan) for decision in run.steps for plan in decision.goals if plan.name == goal]
+        for step, plan in plans:
+            priced = np.isfinite(plan.selection_cost)
+            if plan.set_aside and priced:
                 axes.plot(
                     [step], [plan.selection_cost], marker=MARKERS[k % len(MARKERS)], markersize=4.5, zorder=3,
                     markerfacecolor="white", markeredgecolor=colours[goal],
                 )  # fmt: skip
-            elif plan is not None and not plan.valid:
-                priced = np.isfinite(plan.selection_cost)  # without a cost the mark goes to the upper edge
+            elif not plan.valid:  # without a cost the mark goes to the upper edge
                 axes.plot(
                     [step], [plan.selection_cost if priced else 0.97 - 0.06 * k], marker="x", color=ALARM, markersize=9,
                     markeredgewidth=1.8, transform=axes.transData if priced else axes.get_xaxis_transform(), zorder=4,
                 )  # fmt: skip
     for switch in summary.switches:
-        axes.axvline(switch.step, color=colours.get(switch.goal_after, INK), linewidth=1.0, alpha=0.6, zorder=0)
-        axes.annotate(
-            f"switch to {switch.goal_after}", (switch.step, 1.04), xycoords=("data", "axes fraction"),
-            ha="center", va="bottom", fontsize=8, color=colours.get(switch.goal_after, INK),
-        )  # fmt: skip
+        colour = colours.get(switch.goal_after, INK)
+        axes.axvline(switch.step, color=colour, linewidth=1.0, alpha=0.6, zorder=0)
+        label_above(axes, switch.step, f"switch to {switch.goal_after}", colour, align="center")
     for row in summary.steps:
-        if _lost_to(row):
-            colour, strength, _ = _SHADED[_lost_to(row)]
+        if row.lost_to:
+            colour, strength, _ = _SHADED[row.lost_to]
             axes.axvspan(row.step - 0.5, row.step + 0.5, color=colour, alpha=strength, linewidth=0)
     axes.set_ylabel("selection cost")
     _step_axis(axes, summary)
     handles, _ = axes.get_legend_handles_labels()
     handles.append(_key(marker="o", markersize=9, markerfacecolor="none", color=MUTED, label="chosen"))
-    plans = [plan for decision in run.steps for plan in decision.goals]
-    if any(plan.set_aside for plan in plans):
+    everything = [plan for decision in run.steps for plan in decision.goals]
+    if any(plan.set_aside for plan in everything):
         handles.append(_key(marker="o", markersize=4.5, markerfacecolor="white", color=MUTED, label="set aside"))
-    if any(not plan.eligible and not plan.set_aside for plan in plans):
+    if any(not plan.eligible and not plan.set_aside for plan in everything):
         handles.append(_key(marker="x", markersize=8, markeredgewidth=1.8, color=ALARM, label="plan invalid"))
-    actions = {_lost_to(row) for row in summary.steps}
+    actions = {row.lost_to for row in summary.steps}
     for action, (colour, strength, text) in _SHADED.items():
         if action in actions:
             handles.append(_key(marker="s", markersize=9, color=colour, alpha=2.0 * strength, label=text))
-    axes.legend(handles=handles, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    legend_beside(axes, handles=handles)
     return figure
 
 
-def cost_terms_plot(run: Run, summary: RunSummary, colours: Mapping[str, str]) -> Figure:
+def cost_terms_plot(analysis: Analysis) -> Figure:
     """Return the cost terms of the chosen goal's plan at every replanning step."""
+    run, summary, colours = analysis.run, analysis.summary, analysis.colours
     plans = [decision.plan_of_chosen for decision in run.steps]
     names = tuple(dict.fromkeys(name for plan in plans if plan is not None for name in plan.terms))
     if not names:
         return empty_figure("no cost terms were recorded")
-    figure = new_figure(3.2)
-    axes = figure.add_subplot()
+    figure, axes = new_panel(3.2)
     number = np.array([row.step for row in summary.steps])
     terms = {name: _column([plan.terms.get(name) if plan else None for plan in plans]) for name in names}
     zero = [name.replace("_", " ") for name, cost in terms.items() if not np.nan_to_num(cost).any()]
@@ -153,7 +151,7 @@ def cost_terms_plot(run: Run, summary: RunSummary, colours: Mapping[str, str]) -
     axes.set_ylabel("cost of the chosen plan")
     _step_axis(axes, summary)
     _goal_strip(axes, summary, colours)
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    legend_beside(axes)
     return figure
 
 
@@ -189,32 +187,16 @@ def _step_axis(axes: Axes, summary: RunSummary) -> None:
     moving = [row for row in summary.steps if row.percent is not None and row.percent < 100.0]
     if moving and len(moving) < len(summary.steps):
         axes.axvline(moving[-1].step + 0.5, color=MUTED, linewidth=1.0, linestyle=":")
-        axes.annotate(
-            "human at rest", (moving[-1].step + 0.5, 1.04), xycoords=("data", "axes fraction"),
-            ha="left", va="bottom", fontsize=8, color=MUTED,
-        )  # fmt: skip
-
-
-def _lost_to(row: StepRow) -> str:
-    """Return why a step did not send the arm to a goal, as in `_SHADED`; empty if it did."""
-    return "missed" if row.missed else row.instead
-
-
-def _doing(row: StepRow) -> tuple[str, str]:
-    """Return the goal worked on, or what the arm did instead; a missed step leaves it at what it did."""
-    return ("", row.instead) if row.instead else (row.chosen, "")
+        label_above(axes, moving[-1].step + 0.5, "human at rest", MUTED)
 
 
 def _goal_strip(axes: Axes, summary: RunSummary, colours: Mapping[str, str]) -> None:
-    """Draw which goal was chosen as a strip of colour along the top."""
-    for (goal, what), stretch in groupby(summary.steps, key=_doing):
-        steps = [row.step for row in stretch]
-        if what:
-            axes.axvspan(steps[0] - 0.5, steps[-1] + 0.5, 1.0, 1.03, color=_SHADED[what][0], linewidth=0, clip_on=False)
-        if what or goal not in colours:
+    """Draw along the top which goal was worked on, or what the arm did instead; a missed step leaves it at that."""
+    for (instead, goal), stretch in groupby(summary.steps, key=lambda row: (row.instead, row.instead or row.chosen)):
+        if not instead and goal not in colours:
             continue
-        axes.axvspan(steps[0] - 0.5, steps[-1] + 0.5, 1.0, 1.03, color=colours[goal], linewidth=0, clip_on=False)
-        axes.annotate(
-            f"{goal} chosen", (steps[0] - 0.5, 1.04), xycoords=("data", "axes fraction"),
-            ha="left", va="bottom", fontsize=8, color=colours[goal],
-        )  # fmt: skip
+        colour = _SHADED[instead][0] if instead else colours[goal]
+        steps = [row.step for row in stretch]
+        axes.axvspan(steps[0] - 0.5, steps[-1] + 0.5, 1.0, 1.03, color=colour, linewidth=0, clip_on=False)
+        if not instead:
+            label_above(axes, steps[0] - 0.5, f"{goal} chosen", colour)

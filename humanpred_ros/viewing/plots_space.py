@@ -15,11 +15,11 @@ from scipy.spatial import ConvexHull
 
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.shapes import Cylinder, Obstacle
+from humanpred_ros.viewing.analysis import Analysis, RunSummary
 from humanpred_ros.viewing.figures import ALARM, INK, MUTED, WIDTH_IN, empty_figure, goal_colours, new_figure
+from humanpred_ros.viewing.recorded import OccupancySnapshot
 from humanpred_ros.viewing.run import Run
-from humanpred_ros.viewing.run_summary import RunSummary
-from humanpred_ros.viewing.tracks import OccupancySnapshot
-from humanpred_ros.viewing.workcell import Clearance, Workcell
+from humanpred_ros.viewing.workcell import Workcell
 
 _HUMAN = "#b7791f"
 _ROBOT = "#52606d"
@@ -32,71 +32,69 @@ _N_SNAPSHOTS = 3
 _WITHOUT_GOAL = {"hold": "the arm stops", "evade": "the arm moves aside"}
 
 
-def top_view_plot(
-    run: Run, summary: RunSummary, workcell: Workcell, clearance: Clearance, colours: Mapping[str, str]
-) -> Figure:
+def top_view_plot(analysis: Analysis) -> Figure:
     """Return paths of palm and tool over the run, and the bodies at the closest moment, from above."""
+    run, workcell, closest = analysis.run, analysis.workcell, analysis.summary.closest
     palm, tool = workcell.palm_path(run.postures), workcell.tool_path(run.robot.q[run.robot.t_s >= 0.0])
     if workcell.scene is None or not (len(palm) or len(tool)):
         return empty_figure("no motion was recorded" if workcell.scene else "the scene is not known")
     figure = new_figure(2.0)
     paths, moment = figure.subplots(1, 2, sharex=True, sharey=True)
     for axes in (paths, moment):
-        _draw_scene(axes, workcell, colours)
+        _draw_scene(axes, analysis)
     paths.set_title("paths")
-    _draw_class_goals(paths, run)
-    if len(palm):
-        paths.plot(palm[:, 0], palm[:, 1], color=_HUMAN, linewidth=2.2, label="human palm")
-        paths.plot(*palm[0, :2], marker="o", color=_HUMAN, markersize=6)
-        paths.plot(*palm[-1, :2], marker="s", color=_HUMAN, markersize=6)
-    if len(tool):
-        paths.plot(tool[:, 0], tool[:, 1], color=_ROBOT, linewidth=2.2, label="robot tool")
-        paths.plot(*tool[0, :2], marker="o", color=_ROBOT, markersize=6)
-        paths.plot(*tool[-1, :2], marker="s", color=_ROBOT, markersize=6)
-    for name, place in workcell.goal_places().items():
+    for label, place in zip(run.posterior.labels, run.posterior.goals_m, strict=True):
         paths.plot(
-            place[0], place[1], marker="X", markersize=10, color=colours.get(name, INK), markeredgecolor="white",
-            linestyle="none", label=f"goal {name}{_of_several(len(workcell.goal_sets[name]))}",
+            place[0], place[1], marker="s", color="white", markeredgecolor=MUTED, markersize=11, alpha=0.85, zorder=3.4
+        )
+        paths.text(place[0], place[1], str(label), ha="center", va="center", fontsize=7.5, color=INK, zorder=3.5)
+    for name, path, colour in (("human palm", palm, _HUMAN), ("robot tool", tool, _ROBOT)):
+        if len(path):
+            paths.plot(path[:, 0], path[:, 1], color=colour, linewidth=2.2, label=name)
+            paths.plot(*path[0, :2], marker="o", color=colour, markersize=6)
+            paths.plot(*path[-1, :2], marker="s", color=colour, markersize=6)
+    for name, configurations in workcell.goals.items():
+        of_several = f" (preferred of {len(configurations)})" if len(configurations) > 1 else ""
+        place = workcell.tool_path(configurations[:1])[0]
+        paths.plot(
+            place[0], place[1], marker="X", markersize=10, color=analysis.colours.get(name, INK),
+            markeredgecolor="white", linestyle="none", label=f"goal {name}{of_several}",
         )  # fmt: skip
     paths.plot([], [], marker="o", color=MUTED, linestyle="none", label="start")
     paths.plot([], [], marker="s", color=MUTED, linestyle="none", label="end")
-    _draw_closest(moment, run, summary, workcell, clearance)
+    _draw_closest(moment, analysis)
     parts = [palm[:, :2], tool[:, :2], *_outlines(workcell), workcell.scene.T_world_base[None, :2, 3]]
-    if summary.closest is not None:
-        parts += workcell.human_outlines(_posture_at(run, summary.closest.t_s))
-        parts += [centre[None, :2] for centre, _ in _arm_spheres(run, workcell, summary.closest.t_s)]
+    if closest is not None:
+        parts += workcell.human_outlines(_posture_at(run, closest.t_s))
+        parts += [centre[None, :2] for centre, _ in _arm_spheres(run, workcell, closest.t_s)]
     _frame(paths, parts, figure, n_panels=2, extra_in=1.2)
     paths.set_ylabel("y in m")
     figure.legend(*paths.get_legend_handles_labels(), loc="outside lower center", ncol=7, columnspacing=1.6)
     return figure
 
 
-def _of_several(n_configurations: int) -> str:
-    return f" (preferred of {n_configurations})" if n_configurations > 1 else ""
-
-
-def snapshots_plot(run: Run, summary: RunSummary, workcell: Workcell, colours: Mapping[str, str]) -> Figure:
+def snapshots_plot(analysis: Analysis) -> Figure:
     """Return what was predicted at the first, the decisive and the last replanning step, from above."""
-    chosen = _decisive(run, summary)
+    run, workcell = analysis.run, analysis.workcell
+    chosen = _decisive(run, analysis.summary)
     if not chosen:
         return empty_figure("no occupancy was recorded at a replanning step")
     figure = new_figure(2.0)
     panels = figure.subplots(1, len(chosen), sharex=True, sharey=True, squeeze=False)[0]
-    image: AxesImage | None = None
+    palm, image = workcell.palm_path(run.postures), None
+    parts = [snapshot.centres_m[:, :2] for snapshot, _ in chosen] + _outlines(workcell)
     for axes, (snapshot, title) in zip(panels, chosen, strict=True):
         axes.set_title(title)
-        _draw_scene(axes, workcell, colours, faint=True)
+        _draw_scene(axes, analysis, faint=True)
         image = _draw_footprint(axes, run, snapshot)
         tool = _tool_at(run, workcell, snapshot.t_s)
+        parts.append(tool[:, :2])
         if len(tool):
             axes.plot(*tool[0, :2], marker="D", color=_ROBOT, markersize=7, markeredgecolor="white", linestyle="none")
-        palm = workcell.palm_path(run.postures)
         if len(palm):
             so_far = palm[: int(np.searchsorted(run.postures.t_s, snapshot.t_s, side="right"))]
             axes.plot(so_far[:, 0], so_far[:, 1], color=INK, linewidth=1.6)
             axes.plot(*so_far[-1, :2], marker="o", color=INK, markersize=6, markeredgecolor="white", linestyle="none")
-    parts = [snapshot.centres_m[:, :2] for snapshot, _ in chosen] + _outlines(workcell)
-    parts += [_tool_at(run, workcell, snapshot.t_s)[:, :2] for snapshot, _ in chosen]
     _frame(panels[0], parts, figure, n_panels=len(chosen) + 0.4, extra_in=1.15)
     panels[0].set_ylabel("y in m")
     if image is not None:
@@ -125,12 +123,13 @@ def _decisive(run: Run, summary: RunSummary) -> list[tuple[OccupancySnapshot, st
     return titles
 
 
-def _draw_scene(axes: Axes, workcell: Workcell, colours: Mapping[str, str], *, faint: bool = False) -> None:
+def _draw_scene(axes: Axes, analysis: Analysis, *, faint: bool = False) -> None:
+    workcell = analysis.workcell
     axes.set_aspect("equal")
     axes.set_xlabel("x in m")
     if workcell.scene is None:
         return
-    hues = {**goal_colours(obstacle.name for obstacle in workcell.obstacles), **colours}
+    hues = {**goal_colours(obstacle.name for obstacle in workcell.obstacles), **analysis.colours}
     for obstacle in workcell.obstacles:
         outline = outline_of(obstacle)
         if isinstance(obstacle.shape, Cylinder):
@@ -148,14 +147,6 @@ def _hue_of(name: str, hues: Mapping[str, str]) -> str:
     """Return the colour of an object: its goal's if one is named in its name."""
     words = name.lower().replace("-", "_").split("_")
     return next((colour for goal, colour in hues.items() if goal.lower() in words), hues.get(name, MUTED))
-
-
-def _draw_class_goals(axes: Axes, run: Run) -> None:
-    for label, place in zip(run.posterior.labels, run.posterior.goals_m, strict=True):
-        axes.plot(
-            place[0], place[1], marker="s", color="white", markeredgecolor=MUTED, markersize=11, alpha=0.85, zorder=3.4
-        )
-        axes.text(place[0], place[1], str(label), ha="center", va="center", fontsize=7.5, color=INK, zorder=3.5)
 
 
 def _tool_at(run: Run, workcell: Workcell, t_s: float) -> FloatArray:
@@ -178,18 +169,19 @@ def _arm_spheres(run: Run, workcell: Workcell, t_s: float) -> list[tuple[FloatAr
     return [(centres[k], float(spheres.radius_m[k])) for k in np.argsort(centres[:, 2])]
 
 
-def _draw_closest(axes: Axes, run: Run, summary: RunSummary, workcell: Workcell, clearance: Clearance) -> None:
-    if summary.closest is None or workcell.human is None or workcell.arm is None:
+def _draw_closest(axes: Axes, analysis: Analysis) -> None:
+    run, workcell, closest = analysis.run, analysis.workcell, analysis.summary.closest
+    if closest is None:
         axes.set_title("closest moment: not known")
         return
-    t_s = summary.closest.t_s
-    axes.set_title(f"closest moment: {100 * summary.closest.distance_m:.1f} cm at {t_s:.2f} s")
+    t_s = closest.t_s
+    axes.set_title(f"closest moment: {100 * closest.distance_m:.1f} cm at {t_s:.2f} s")
     for outline in workcell.human_outlines(_posture_at(run, t_s)):
         axes.add_patch(Polygon(outline, facecolor="#f1ddbb", edgecolor="#d3ad72", linewidth=0.7, zorder=2))
     for centre, radius in _arm_spheres(run, workcell, t_s):
         ball = Circle((centre[0], centre[1]), radius, facecolor="#cbd2d9", edgecolor="#8f9ba8", linewidth=0.7, zorder=4)
         axes.add_patch(ball)
-    place = clearance.place_m[int(np.argmin(clearance.distance_m))]
+    place = analysis.clearance.place_m[analysis.clearance.closest]
     axes.plot(*place[:2], marker="o", markersize=13, markerfacecolor="none", markeredgecolor=ALARM, zorder=5)
 
 

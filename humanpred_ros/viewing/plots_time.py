@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,10 +9,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.viewing.figures import ALARM, CAUTION, INK, MUTED, SERIES, empty_figure, new_figure, note
-from humanpred_ros.viewing.run import Run
-from humanpred_ros.viewing.run_summary import LatencyFigures, RunSummary
-from humanpred_ros.viewing.workcell import Clearance, Workcell
+from humanpred_ros.viewing.analysis import Analysis
+from humanpred_ros.viewing.figures import (
+    ALARM,
+    CAUTION,
+    INK,
+    MUTED,
+    SERIES,
+    empty_figure,
+    label_above,
+    new_figure,
+    new_panel,
+    note,
+)
+from humanpred_ros.viewing.recorded import LatencyFigures
 
 _MAX_BINS = 40
 _JOINT_ROW_IN = 0.98
@@ -25,16 +34,16 @@ _LABEL_SHARE = 0.13
 _LINE_HEIGHT = 0.065
 
 
-def clearance_plot(run: Run, summary: RunSummary, clearance: Clearance, colours: Mapping[str, str]) -> Figure:
+def clearance_plot(analysis: Analysis) -> Figure:
     """Return the distance between robot and human over time."""
-    if not len(clearance) or summary.closest is None:
+    clearance, closest = analysis.clearance, analysis.summary.closest
+    if closest is None:
         return empty_figure("the distance is not known")
-    figure = new_figure(2.9)
-    axes = figure.add_subplot()
-    distance_cm, closest = 100.0 * clearance.distance_m, summary.closest
+    figure, axes = new_panel(2.9)
+    distance_cm = 100.0 * clearance.distance_m
     axes.plot(clearance.t_s, distance_cm, color=INK)
     axes.plot([closest.t_s], [100.0 * closest.distance_m], marker="o", color=INK, markersize=6)
-    on_left = closest.t_s < 0.6 * run.duration_s
+    on_left = closest.t_s < 0.6 * analysis.run.duration_s
     axes.annotate(
         f"{100.0 * closest.distance_m:.1f} cm at {closest.t_s:.2f} s\n{closest.robot_link} – {closest.human_body}",
         (closest.t_s, 100.0 * closest.distance_m), xytext=(14 if on_left else -14, 12), textcoords="offset points",
@@ -48,58 +57,51 @@ def clearance_plot(run: Run, summary: RunSummary, clearance: Clearance, colours:
         axes.axhspan(low, 0.0, color=ALARM, alpha=0.12, linewidth=0)
         axes.axhline(0.0, color=ALARM, linewidth=1.0)
     axes.set_ylabel("robot to human in cm")
-    mark_events(axes, run, summary, colours)
+    mark_events(axes, analysis)
     return figure
 
 
-def occupancy_plot(run: Run, summary: RunSummary, colours: Mapping[str, str]) -> Figure:
+def occupancy_plot(analysis: Analysis) -> Figure:
     """Return the expected number of occupied voxels, and the number published, over time."""
-    track = run.occupancy
+    track = analysis.run.occupancy
     if not len(track):
         return empty_figure("no occupancy was recorded")
-    figure = new_figure(2.7)
-    axes = figure.add_subplot()
+    figure, axes = new_panel(2.7)
     axes.fill_between(track.t_s, track.expected_voxels, color=SERIES[0], alpha=0.18, linewidth=0)
     axes.plot(track.t_s, track.expected_voxels, color=SERIES[0], label="expected occupied (sum of probabilities)")
     axes.plot(track.t_s, track.n_voxels, color=MUTED, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
     axes.set_ylim(0.0, max(1.0, 1.08 * float(track.n_voxels.max())))
     axes.set_ylabel("voxels")
-    mark_events(axes, run, summary, colours)
+    mark_events(axes, analysis)
     axes.legend(loc="lower right")
     if track.grid is not None:
         litres = _LITRES_PER_M3 * track.grid.resolution_m**3
-
-        def to_litres(voxels: Any) -> Any:
-            return voxels * litres
-
-        def to_voxels(volume: Any) -> Any:
-            return volume / litres
-
-        volume = axes.secondary_yaxis("right", functions=(to_litres, to_voxels))
-        volume.set_ylabel("volume in litres")
+        both_ways: Any = (lambda voxels: voxels * litres, lambda volume: volume / litres)
+        axes.secondary_yaxis("right", functions=both_ways).set_ylabel("volume in litres")
     return figure
 
 
-def joints_plot(run: Run, summary: RunSummary, workcell: Workcell, colours: Mapping[str, str]) -> Figure:
+def joints_plot(analysis: Analysis) -> Figure:
     """Return position and velocity of every arm joint over time, with their limits."""
-    track = run.robot
-    shown = (track.t_s >= 0.0) & (track.t_s <= run.duration_s)
+    track, arm = analysis.run.robot, analysis.workcell.arm
+    shown = (track.t_s >= 0.0) & (track.t_s <= analysis.run.duration_s)
     if shown.sum() < 2:
         return empty_figure("the arm was not recorded during the run")
-    n_joints = len(track.joint_names)
+    n_joints = len(track.names)
     figure = new_figure(_JOINT_ROW_IN * n_joints + 0.6)
     axes = figure.subplots(n_joints, 2, sharex=True, squeeze=False)
-    for j, name in enumerate(track.joint_names):
+    for j, name in enumerate(track.names):
         left, right = axes[j]
         left.plot(track.t_s[shown], track.q[shown, j], color=SERIES[0], linewidth=1.4)
         right.plot(track.t_s[shown], track.v[shown, j], color=SERIES[1], linewidth=1.2)
         short = name.removeprefix("r_").removesuffix("_joint").replace("_", " ")
         left.set_ylabel(short, rotation=0, ha="right", va="center")
-        lower, upper, fastest = workcell.joint_limits(j)
-        _limit_lines(left, lower, upper, track.q[shown, j])
-        _limit_lines(right, -fastest, fastest, track.v[shown, j])
+        fastest = np.inf if arm is None else float(arm.chain.velocity_limit[j])
+        limits = () if arm is None else (float(arm.chain.lower[j]), float(arm.chain.upper[j]))
+        _limit_lines(left, limits, track.q[shown, j])
+        _limit_lines(right, (-fastest, fastest), track.v[shown, j])
         for side in (left, right):
-            mark_events(side, run, summary, colours, labels=False, xlabel=j == n_joints - 1)
+            mark_events(side, analysis, labels=False, xlabel=j == n_joints - 1)
             side.locator_params(axis="y", nbins=3)
     axes[0, 0].set_title("position in rad")
     axes[0, 1].set_title("velocity in rad/s")
@@ -107,17 +109,15 @@ def joints_plot(run: Run, summary: RunSummary, workcell: Workcell, colours: Mapp
     return figure
 
 
-def latency_plot(run: Run, summary: RunSummary) -> Figure:
+def latency_plot(analysis: Analysis) -> Figure:
     """Return histograms of the latencies and of the time a replanning step takes."""
+    run = analysis.run
     if not len(run.postures) and not run.steps:
         return empty_figure("there is nothing to measure delays on")
-    figure = new_figure(2.7)
-    planning_ms = 1e3 * np.array([step.compute_s for step in run.steps], dtype=np.float64)
-    panels = [(latency.name, 1e3 * latency.delay_s, summary.latency[latency.name]) for latency in run.latencies]
-    panels.append(("planning one step", planning_ms[np.isfinite(planning_ms)], summary.planning))
-    for axes, (name, delay_ms, figures) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
-        axes.set_title(name, pad=18)
-        _histogram(axes, delay_ms, figures)
+    figure, panels = new_figure(2.7), (*run.latencies, run.planning)
+    for axes, latency in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
+        axes.set_title(latency.name, pad=18)
+        _histogram(axes, 1e3 * latency.delay_s, latency.figures)
     return figure
 
 
@@ -140,11 +140,11 @@ def _histogram(axes: Axes, delay_ms: FloatArray, figures: LatencyFigures) -> Non
     axes.locator_params(axis="y", integer=True)
 
 
-def _limit_lines(axes: Axes, lower: float, upper: float, values: FloatArray) -> None:
+def _limit_lines(axes: Axes, limits: tuple[float, ...], values: FloatArray) -> None:
     """Draw the limits that lie near the data: a far limit would flatten the curve."""
     low, high = float(values.min()), float(values.max())
     room = max(0.1, 0.35 * (high - low))
-    for limit in (lower, upper):
+    for limit in limits:
         if np.isfinite(limit) and low - room <= limit <= high + room:
             axes.axhline(limit, color=ALARM, linewidth=1.0, linestyle=(0, (4, 2)))
             low, high = min(low, limit), max(high, limit)
@@ -152,16 +152,13 @@ def _limit_lines(axes: Axes, lower: float, upper: float, values: FloatArray) -> 
     axes.set_ylim(low - margin, high + margin)
 
 
-def set_time_limits(axes: Axes, run: Run) -> None:
-    """Let the axis span the run from its origin: what the robot reported before is standing still."""
+def mark_events(axes: Axes, analysis: Analysis, *, labels: bool = True, xlabel: bool = True) -> None:
+    """Mark the end of the human's motion, switches taking effect, holds, evasions and arrival; set the time limits.
+
+    The axis spans the run from its origin: what the robot reported before is standing still.
+    """
+    run, summary, colours = analysis.run, analysis.summary, analysis.colours
     axes.set_xlim(0.0, run.duration_s if run.duration_s > 0.0 else 1.0)
-
-
-def mark_events(
-    axes: Axes, run: Run, summary: RunSummary, colours: Mapping[str, str], *, labels: bool = True, xlabel: bool = True
-) -> None:
-    """Mark the end of the human's motion, switches taking effect, holds, evasions and arrival; set the time limits."""
-    set_time_limits(axes, run)
     if xlabel:
         axes.set_xlabel("time since the first posture in s")
     events: list[tuple[float, str, str, Any]] = []
@@ -173,13 +170,12 @@ def mark_events(
     if summary.reached is not None:
         goal = summary.reached.goal
         events.append((summary.reached.t_s, f"arm at {goal}", colours.get(goal, INK), (0, (4, 2))))
-    interruptions = [(hold, "hold", ALARM) for hold in summary.holds]
-    interruptions += [(evasion, "arm moves aside", CAUTION) for evasion in summary.evasions]
-    for interruption, text, colour in interruptions:
-        # A single one must be seen, too.
-        until_s = max(interruption.until_s, interruption.t_s + 0.004 * run.duration_s)
-        axes.axvspan(interruption.t_s, until_s, color=colour, alpha=0.15, linewidth=0)
-        events.append((interruption.t_s, text, colour, "-"))
+    for parts, text, colour in ((summary.holds, "hold", ALARM), (summary.evasions, "arm moves aside", CAUTION)):
+        for part in parts:
+            # A single one must be seen, too.
+            until_s = max(part.until_s, part.t_s + 0.004 * run.duration_s)
+            axes.axvspan(part.t_s, until_s, color=colour, alpha=0.15, linewidth=0)
+            events.append((part.t_s, text, colour, "-"))
     right_end, level = -1.0, 0
     for t_s, text, colour, dashes in sorted(events, key=lambda event: event[0]):
         axes.axvline(t_s, color=colour, linewidth=1.1, linestyle=dashes, zorder=1)
@@ -188,7 +184,5 @@ def mark_events(
         share = t_s / run.duration_s if run.duration_s > 0.0 else 0.0
         level = level + 1 if share < right_end else 0
         right_end = share + _LABEL_SHARE
-        axes.annotate(
-            text, (t_s, 1.01 + level * _LINE_HEIGHT), xycoords=("data", "axes fraction"),
-            ha="left" if share < 0.85 else "right", va="bottom", fontsize=8, color=colour,
-        )  # fmt: skip
+        align = "left" if share < 0.85 else "right"
+        label_above(axes, t_s, text, colour, align=align, y=1.01 + level * _LINE_HEIGHT)

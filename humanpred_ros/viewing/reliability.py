@@ -17,12 +17,10 @@ from numpy.typing import NDArray
 
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
-from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.viewing.figures import INK, MUTED, SERIES, empty_figure, new_figure
+from humanpred_ros.viewing.recorded import OccupancySnapshot
 from humanpred_ros.viewing.run import WHOLE_REACH_PERCENT, Run
-from humanpred_ros.viewing.run_summary import OccupancyCalibration, ReliabilityBin
-from humanpred_ros.viewing.tracks import OccupancySnapshot
 from humanpred_ros.viewing.workcell import Workcell
 
 #: A swept voxel given less than this was missed.
@@ -48,70 +46,83 @@ _STAMP_TOLERANCE_S = 1e-6
 
 
 @dataclass(frozen=True)
-class Calibration:
-    """What was found of a run: figures by part of the run, or in `notes` why there are none."""
+class ReliabilityBin:
+    """Voxels whose predicted probability was at least `low` and less than `high`; the last bin holds 1, too."""
 
-    parts: Mapping[str, OccupancyCalibration] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    low: float
+    high: float
+    count: int  #: over all occupancies compared
+    probability: float | None  #: mean of what was predicted, None without voxels
+    observed: float | None  #: share of them that came true, None without voxels
 
 
-def measure_calibration(run: Run, workcell: Workcell) -> Calibration:
+@dataclass(frozen=True)
+class OccupancyCalibration:
+    """Predicted occupancies beside the voxels the body really swept from then on."""
+
+    occupancies: int  #: how many were compared
+    voxels: int  #: in `bins`, over all of them
+    #: expected calibration error: mean over these voxels of |mean probability - observed share| of their bin
+    error: float | None
+    missed: float | None  #: share of the swept voxels that were given less than 1 %, None if nothing was swept
+    expected_voxels: float  #: sum of the probabilities; mean per occupancy
+    swept_voxels: float  #: voxels really swept; mean per occupancy
+    #: sum over voxels of (p - y)^2, mean per occupancy (divided by the grid's size: Brier score)
+    squared_error: float
+    squared_error_current: float  #: the same of the baseline that predicts the current posture only
+    squared_error_ratio: float | None  #: the one over the other, None where the baseline made no error
+    bins: tuple[ReliabilityBin, ...]  #: reliability table
+
+
+def measure_calibration(run: Run, workcell: Workcell) -> tuple[dict[str, OccupancyCalibration], tuple[str, ...]]:
     """Compare the occupancies sampled from a run with the voxels the human's body really touched from then on.
 
     Args:
         run: with all of the human's motion; what happened after an interruption is not known.
         workcell: of that run.
+
+    Returns:
+        (figures by part of the run, why there are none).
     """
-    scene, human = workcell.scene, workcell.human
+    scene, human, seen = workcell.scene, workcell.human, run.seen_percent
+    why = ""
     if not len(run.occupancy):
-        return _nothing("no occupancy was recorded")
-    if not len(run.postures):
-        return _nothing("no posture of the human was recorded")
-    if scene is None or human is None:
-        return _nothing(f"the {'scene' if scene is None else 'human model'} is not known")
-    seen = run.seen_percent
-    if seen is not None and seen < WHOLE_REACH_PERCENT:
-        return _nothing(f"what the human did after {seen:.0f} % of the reach was not recorded")
-    samples = [sample for sample in run.occupancy.samples if sample.t_s <= run.postures.t_s[-1] + _STAMP_TOLERANCE_S]
-    if not any(len(sample.probability) for sample in samples):
-        return _nothing("the recorded occupancies hold no voxel")
-    grid = run.occupancy.grid or scene.grid
-    body = _RecordedBody(human, grid, scene.T_world_human, run)
+        why = "no occupancy was recorded"
+    elif not len(run.postures):
+        why = "no posture of the human was recorded"
+    elif scene is None or human is None:
+        why = f"the {'scene' if scene is None else 'human model'} is not known"
+    elif seen is not None and seen < WHOLE_REACH_PERCENT:
+        why = f"what the human did after {seen:.0f} % of the reach was not recorded"
+    else:
+        last_s = run.postures.t_s[-1] + _STAMP_TOLERANCE_S
+        samples = [sample for sample in run.occupancy.samples if sample.t_s <= last_s]
+        grid = run.occupancy.grid or scene.grid
+        troubles = [f"at {sample.t_s:.2f} s {found}" for sample in samples if (found := _trouble(sample, grid))]
+        why = troubles[0] if troubles else ""
+        if not any(len(sample.probability) for sample in samples):
+            why = "the recorded occupancies hold no voxel"
+        if not why:
+            return _compared(run, samples, grid, BodyVoxeliser(human, grid, scene.T_world_human)), ()
+    return {}, (f"whether the predicted probabilities were right cannot be told: {why}",)
+
+
+def _compared(
+    run: Run, samples: list[OccupancySnapshot], grid: VoxelGrid, body: BodyVoxeliser
+) -> dict[str, OccupancyCalibration]:
+    """Return the figures of the samples by part of the run."""
+    last = body.last_touch(run.postures.q).ravel()  # (V,) posture in which each voxel is touched last, -1 for never
+    last_touched = np.sort(last[last >= 0])
     tally = {MOVING: _Tally(), AT_REST: _Tally()}
     for sample in samples:
-        trouble = _trouble(sample, grid)
-        if trouble:
-            return _nothing(f"at {sample.t_s:.2f} s {trouble}")
         moving = sample.t_s <= run.motion_duration_s + _STAMP_TOLERANCE_S and run.motion_duration_s > 0.0
-        tally[MOVING if moving else AT_REST].add(sample, grid, body)
-    return Calibration({name: part.figures() for name, part in tally.items() if part.occupancies})
-
-
-class _RecordedBody:
-    """Which voxels the recorded body touches, now and from now on."""
-
-    def __init__(self, human: HumanModel, grid: VoxelGrid, T_world_human: FloatArray, run: Run) -> None:
-        self._voxeliser = BodyVoxeliser(human, grid, T_world_human)
-        self._postures = run.postures
-        self._last = self._voxeliser.last_touch(run.postures.q).ravel()
-        self._touched = np.sort(self._last[self._last >= 0])
-
-    def posture_at(self, t_s: float) -> int:
-        """Return the number of the posture at a time, of the next one where that was not recorded."""
-        return int(np.searchsorted(self._postures.t_s, t_s - _STAMP_TOLERANCE_S))
-
-    def touches_from(self, posture: int, flat: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return (N,) whether voxels are touched in this posture or any later one."""
-        touched: NDArray[np.bool_] = self._last[flat] >= posture
-        return touched
-
-    def n_touched_from(self, posture: int) -> int:
-        """Return how many voxels are touched in this posture or any later one."""
-        return len(self._touched) - int(np.searchsorted(self._touched, posture))
-
-    def n_touched_in(self, posture: int) -> int:
-        """Return how many voxels are touched in this posture."""
-        return len(self._voxeliser.voxels(self._postures.q[posture]))
+        # The posture at the sample's time, the next one where that was not recorded.
+        posture = int(np.searchsorted(run.postures.t_s, sample.t_s - _STAMP_TOLERANCE_S))
+        n_swept = len(last_touched) - int(np.searchsorted(last_touched, posture))
+        n_now = len(body.voxels(run.postures.q[posture]))
+        swept = last[grid.flat_index(sample.centres_m)] >= posture
+        tally[MOVING if moving else AT_REST].add(sample.probability, swept, n_swept, n_now)
+    return {name: part.figures() for name, part in tally.items() if part.occupancies}
 
 
 @dataclass
@@ -124,14 +135,13 @@ class _Tally:
     missed: int = 0
     squared_error: float = 0.0
     squared_error_current: int = 0
-    count: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_N_BINS, dtype=np.int64))
-    probability: FloatArray = field(default_factory=lambda: np.zeros(_N_BINS))
-    came_true: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_N_BINS, dtype=np.int64))
+    #: of each bin: voxels, sum of their probabilities, and how many came true
+    bins: FloatArray = field(default_factory=lambda: np.zeros((3, _N_BINS)))
 
-    def add(self, sample: OccupancySnapshot, grid: VoxelGrid, body: _RecordedBody) -> None:
-        posture, p = body.posture_at(sample.t_s), sample.probability
-        y = body.touches_from(posture, grid.flat_index(sample.centres_m))
-        n_swept, n_now = body.n_touched_from(posture), body.n_touched_in(posture)
+    def add(self, p: FloatArray, y: NDArray[np.bool_], n_swept: int, n_now: int) -> None:
+        """Add an occupancy: probabilities (N,), whether these voxels were swept (N,), and how many were, from now on
+        and now.
+        """
         warned = p >= MISSED_BELOW
         self.occupancies += 1
         self.expected += float(p.sum())
@@ -142,14 +152,13 @@ class _Tally:
         # Where the body is now is part of what it sweeps from now on: that baseline errs by the rest alone.
         self.squared_error_current += n_swept - n_now
         number = np.minimum(np.searchsorted(BIN_EDGES, p[warned], side="right") - 1, _N_BINS - 1)
-        self.count += np.bincount(number, minlength=_N_BINS)
-        self.probability += np.bincount(number, weights=p[warned], minlength=_N_BINS)
-        self.came_true += np.bincount(number[y[warned]], minlength=_N_BINS)
+        for row, weights in zip(self.bins, (None, p[warned], y[warned]), strict=True):
+            row += np.bincount(number, weights=weights, minlength=_N_BINS)
 
     def figures(self) -> OccupancyCalibration:
-        voxels = int(self.count.sum())
-        gap = float(np.abs(self.probability - self.came_true).sum())
-        baseline = self.squared_error_current
+        count, probability, came_true = self.bins
+        voxels, baseline = int(count.sum()), self.squared_error_current
+        gap = float(np.abs(probability - came_true).sum())
         return OccupancyCalibration(
             occupancies=self.occupancies,
             voxels=voxels,
@@ -161,15 +170,8 @@ class _Tally:
             squared_error_current=baseline / self.occupancies,
             squared_error_ratio=self.squared_error / baseline if baseline else None,
             bins=tuple(
-                ReliabilityBin(low, high, n, p / n if n else None, y / n if n else None)
-                for low, high, n, p, y in zip(
-                    BIN_EDGES[:-1],
-                    BIN_EDGES[1:],
-                    self.count.tolist(),
-                    self.probability.tolist(),
-                    self.came_true.tolist(),
-                    strict=True,
-                )
+                ReliabilityBin(low, high, int(n), p / n if n else None, y / n if n else None)
+                for low, high, (n, p, y) in zip(BIN_EDGES[:-1], BIN_EDGES[1:], self.bins.T.tolist(), strict=True)
             ),
         )
 
@@ -184,10 +186,6 @@ def _trouble(sample: OccupancySnapshot, grid: VoxelGrid) -> str:
     if (flat < 0).any() or (off > _CENTRE_TOLERANCE * grid.resolution_m).any():
         return "points were published that are not voxel centres of the grid"
     return ""
-
-
-def _nothing(why: str) -> Calibration:
-    return Calibration(notes=(f"whether the predicted probabilities were right cannot be told: {why}",))
 
 
 def reliability_plot(calibration: Mapping[str, OccupancyCalibration]) -> Figure:

@@ -6,10 +6,10 @@ import math
 import os
 import re
 import shlex
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
@@ -17,16 +17,15 @@ from matplotlib.figure import Figure
 
 from humanpred_ros import __version__
 from humanpred_ros.errors import UsageError
-from humanpred_ros.viewing.figures import goal_colours, report_style, svg_of
-from humanpred_ros.viewing.key_figures import interruptions, key_figures
+from humanpred_ros.viewing.analysis import Analysis, RunSummary, analyse
+from humanpred_ros.viewing.figures import report_style, svg_of
+from humanpred_ros.viewing.key_figures import key_figures
 from humanpred_ros.viewing.plots_decisions import cost_terms_plot, goal_costs_plot, posterior_plot
 from humanpred_ros.viewing.plots_space import snapshots_plot, top_view_plot
 from humanpred_ros.viewing.plots_time import clearance_plot, joints_plot, latency_plot, occupancy_plot
+from humanpred_ros.viewing.recorded import RecordedDecision
 from humanpred_ros.viewing.reliability import reliability_plot
 from humanpred_ros.viewing.run import Run, read_run
-from humanpred_ros.viewing.run_summary import RunSummary
-from humanpred_ros.viewing.summary import summarise
-from humanpred_ros.viewing.workcell import Clearance, Workcell, load_workcell, measure_clearance
 
 _TEMPLATES = Path(__file__).resolve().parent / "templates"
 _TEMPLATE = "report.html.j2"
@@ -36,37 +35,6 @@ _HEAD_FACTS = ("scene", "library", "trajectory", "mode", "predictor", "seed")
 _OPTIONS = (
     "scene", "library", "trajectory", "predictor", "classifier", "evidence", "window-frames", "hold-out", "seed",
 )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class GoalColumns:
-    """What is told of the goals of a run's steps.
-
-    Attributes:
-        terms: names of STOMP's cost terms.
-        rest: whether costs of resting at the goals are known.
-        task_cost: whether any goal has a cost of its own.
-        alternative: whether any plan leads to another than its goal's preferred configuration.
-        margin: whether the margin of any choice is known.
-    """
-
-    terms: tuple[str, ...]
-    rest: bool
-    task_cost: bool
-    alternative: bool
-    margin: bool
-
-
-def told_of_goals(run: Run) -> GoalColumns:
-    """Return what the steps of a run tell of their goals; bags of earlier versions tell less."""
-    goals = [goal for step in run.steps for goal in step.goals]
-    return GoalColumns(
-        terms=tuple(dict.fromkeys(name for goal in goals for name in goal.terms)),
-        rest=any(math.isfinite(goal.rest) for goal in goals),
-        task_cost=any(math.isfinite(goal.task_cost) and goal.task_cost != 0.0 for goal in goals),
-        alternative=any(goal.alternative for goal in goals),
-        margin=any(math.isfinite(step.margin) for step in run.steps),
-    )
 
 
 def report_run(folder: str | Path, path: str | Path | None = None) -> RunSummary:
@@ -80,35 +48,20 @@ def report_run(folder: str | Path, path: str | Path | None = None) -> RunSummary
         BagError: there is no complete run.
         UsageError: the files cannot be written there.
     """
-    run = read_run(folder)
-    workcell = load_workcell(run)
-    clearance = measure_clearance(run, workcell)
-    summary = summarise(run, workcell, clearance)
+    analysis = analyse(read_run(folder))
     path = Path(folder) / "report.html" if path is None else Path(path)
-    write_report(run, summary, path, workcell, clearance)
-    path.with_name("summary.json").write_text(summary.to_json(), encoding="utf-8")
-    return summary
+    write_report(analysis, path)
+    path.with_name("summary.json").write_text(analysis.summary.to_json(), encoding="utf-8")
+    return analysis.summary
 
 
-def write_report(
-    run: Run,
-    summary: RunSummary,
-    path: str | Path,
-    workcell: Workcell | None = None,
-    clearance: Clearance | None = None,
-) -> None:
+def write_report(analysis: Analysis, path: Path) -> None:
     """Write the report of a run as one HTML file; a file of that name is replaced when the new one is complete.
-
-    Args:
-        run, summary: of the same run.
-        path: file to write.
-        workcell, clearance: found and measured if None.
 
     Raises:
         UsageError: the file cannot be written there.
     """
-    path = Path(path)
-    text = render_report(run, summary, workcell, clearance)
+    text = render_report(analysis)
     temporary = path.with_name(f".{path.name}.partial-{os.getpid()}")
     try:
         temporary.write_text(text, encoding="utf-8")
@@ -118,14 +71,9 @@ def write_report(
         raise UsageError(f"report {path}: cannot be written ({trouble.strerror}); choose another place") from trouble
 
 
-def render_report(
-    run: Run, summary: RunSummary, workcell: Workcell | None = None, clearance: Clearance | None = None
-) -> str:
-    """Return the report as HTML text; arguments as of `write_report`."""
-    workcell = workcell or load_workcell(run)
-    plots = draw_plots(run, summary, workcell, clearance or measure_clearance(run, workcell))
-    with report_style():
-        reliability = svg_of(reliability_plot(summary.calibration), "reliability") if summary.calibration else ""
+def render_report(analysis: Analysis) -> str:
+    """Return the report as HTML text."""
+    run, summary = analysis.run, analysis.summary
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATES),
         autoescape=True,
@@ -134,113 +82,117 @@ def render_report(
         lstrip_blocks=True,
     )
     environment.filters.update(number=_number, cost=_cost)
+    plots = draw_plots(analysis)
+    with report_style():
+        reliability = svg_of(reliability_plot(summary.calibration), "reliability") if summary.calibration else ""
     return environment.get_template(_TEMPLATE).render(
         title=_title(run),
         run=run,
         summary=summary,
         figures=key_figures(summary),
         head_facts=[(name, run.facts[name]) for name in _HEAD_FACTS if name in run.facts],
-        plots=[(plot, Markup(plot.svg)) for plot in plots],
+        plots=plots,
         reliability=Markup(reliability),
         calibration=_calibration_rows(summary),
         decisions=list(zip(summary.steps, run.steps, strict=True)),
-        told=told_of_goals(run),
-        interruptions=interruptions(summary),
-        colours=goal_colours(dict.fromkeys([*workcell.goals, *summary.goals])),
+        told=told_of_goals(run.steps),
+        colours=analysis.colours,
         recorded=_recorded(run),
         command=reproduce_command(run),
         version=__version__,
     )
 
 
-@dataclass(frozen=True)
-class Plot:
+def told_of_goals(steps: Sequence[RecordedDecision]) -> dict[str, Any]:
+    """Return what replanning steps tell of their goals, by column of the report; bags of earlier versions tell less.
+
+    `terms` are the names of STOMP's cost terms. The others are whether there is a cost of resting at goals, any goal
+    with a cost of its own, any plan to another than its goal's preferred configuration, and a margin of any choice.
+    """
+    goals = [goal for step in steps for goal in step.goals]
+    return {
+        "terms": tuple(dict.fromkeys(name for goal in goals for name in goal.terms)),
+        "rest": any(math.isfinite(goal.rest) for goal in goals),
+        "task_cost": any(math.isfinite(goal.task_cost) and goal.task_cost != 0.0 for goal in goals),
+        "alternative": any(goal.alternative for goal in goals),
+        "margin": any(math.isfinite(step.margin) for step in steps),
+    }
+
+
+class Plot(NamedTuple):
     """One plot: `key` names it in links, `svg` is an element ready to stand in HTML."""
 
     key: str
     title: str
     caption: str
-    svg: str
+    svg: Markup
 
 
-def draw_plots(
-    run: Run, summary: RunSummary, workcell: Workcell | None = None, clearance: Clearance | None = None
-) -> tuple[Plot, ...]:
-    """Return the plots of a run; a plot without data says so.
+#: The report's plots: key, title, caption, and what draws it; a plot without data says so.
+_PLOTS: tuple[tuple[str, str, str, Callable[[Analysis], Figure]], ...] = (
+    (
+        "top-view",
+        "Seen from above",
+        "Left: where the palm and the tool went; numbered squares are the goal places of the human's classes. "
+        "Right: human body and robot collision spheres at the moment they were closest; the ring marks the place.",
+        top_view_plot,
+    ),
+    (
+        "posterior",
+        "What the human is believed to do",
+        "Probability of each class of reach given the part of the motion seen so far; hatched, if the classifier "
+        "considers it, the probability that the motion belongs to none of them. Where all are equal, the human is "
+        "taken to be at rest.",
+        posterior_plot,
+    ),
+    (
+        "goal-costs",
+        "Cost of every goal",
+        "What goals are compared by, at every replanning step (compare with P1 Fig. 9). Hollow: set aside, so the "
+        "cheapest goal need not be the chosen one; the table of decisions says why. A decision takes effect one "
+        "step after it was computed (P1 Fig. 4).",
+        goal_costs_plot,
+    ),
+    (
+        "cost-terms",
+        "What the chosen plan costs",
+        "What STOMP minimised: terms of the cost of the chosen goal's plan at every replanning step.",
+        cost_terms_plot,
+    ),
+    (
+        "predictions",
+        "What was predicted",
+        "Occupancy at the first, the decisive and the last replanning step, seen from above: every cell shows the "
+        "most probable voxel of its column. The dark line is the palm so far, the diamond the robot's tool.",
+        snapshots_plot,
+    ),
+    (
+        "clearance",
+        "Distance between robot and human",
+        "Least distance between the robot's collision spheres and the human's body at equal data time. The "
+        "spheres contain the arm from the upper arm on, so the true distance is never smaller.",
+        clearance_plot,
+    ),
+    ("occupancy", "Predicted occupancy", "Size of the space the human is predicted to need.", occupancy_plot),
+    (
+        "joints",
+        "Arm joints",
+        "Measured positions and velocities; dashed red lines are limits, drawn where they are near.",
+        joints_plot,
+    ),
+    (
+        "latency",
+        "Delays",
+        "Wall time between sending a posture and sending what follows from it, and wall time of one replanning step.",
+        latency_plot,
+    ),
+)
 
-    Args:
-        run, summary: of the same run.
-        workcell, clearance: found and measured if None.
-    """
-    workcell = workcell or load_workcell(run)
-    clearance = clearance or measure_clearance(run, workcell)
-    colours = goal_colours(dict.fromkeys([*workcell.goals, *summary.goals]))
-    wanted: tuple[tuple[str, str, str, Callable[[], Figure]], ...] = (
-        (
-            "top-view",
-            "Seen from above",
-            "Left: where the palm and the tool went; numbered squares are the goal places of the human's classes. "
-            "Right: human body and robot collision spheres at the moment they were closest; the ring marks the place.",
-            lambda: top_view_plot(run, summary, workcell, clearance, colours),
-        ),
-        (
-            "posterior",
-            "What the human is believed to do",
-            "Probability of each class of reach given the part of the motion seen so far; hatched, if the classifier "
-            "considers it, the probability that the motion belongs to none of them. Where all are equal, the human is "
-            "taken to be at rest.",
-            lambda: posterior_plot(run, summary, colours),
-        ),
-        (
-            "goal-costs",
-            "Cost of every goal",
-            "What goals are compared by, at every replanning step (compare with P1 Fig. 9). Hollow: set aside, so the "
-            "cheapest goal need not be the chosen one; the table of decisions says why. A decision takes effect one "
-            "step after it was computed (P1 Fig. 4).",
-            lambda: goal_costs_plot(run, summary, colours),
-        ),
-        (
-            "cost-terms",
-            "What the chosen plan costs",
-            "What STOMP minimised: terms of the cost of the chosen goal's plan at every replanning step.",
-            lambda: cost_terms_plot(run, summary, colours),
-        ),
-        (
-            "predictions",
-            "What was predicted",
-            "Occupancy at the first, the decisive and the last replanning step, seen from above: every cell shows the "
-            "most probable voxel of its column. The dark line is the palm so far, the diamond the robot's tool.",
-            lambda: snapshots_plot(run, summary, workcell, colours),
-        ),
-        (
-            "clearance",
-            "Distance between robot and human",
-            "Least distance between the robot's collision spheres and the human's body at equal data time. The "
-            "spheres contain the arm from the upper arm on, so the true distance is never smaller.",
-            lambda: clearance_plot(run, summary, clearance, colours),
-        ),
-        (
-            "occupancy",
-            "Predicted occupancy",
-            "Size of the space the human is predicted to need.",
-            lambda: occupancy_plot(run, summary, colours),
-        ),
-        (
-            "joints",
-            "Arm joints",
-            "Measured positions and velocities; dashed red lines are limits, drawn where they are near.",
-            lambda: joints_plot(run, summary, workcell, colours),
-        ),
-        (
-            "latency",
-            "Delays",
-            "Wall time between sending a posture and sending what follows from it, and wall time of one replanning "
-            "step.",
-            lambda: latency_plot(run, summary),
-        ),
-    )
+
+def draw_plots(analysis: Analysis) -> list[Plot]:
+    """Return the plots of a run."""
     with report_style():
-        return tuple(Plot(key, title, caption, svg_of(draw(), key)) for key, title, caption, draw in wanted)
+        return [Plot(key, title, caption, Markup(svg_of(draw(analysis), key))) for key, title, caption, draw in _PLOTS]
 
 
 def reproduce_command(run: Run) -> str:

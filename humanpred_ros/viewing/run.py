@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -20,16 +20,18 @@ from humanpred_ros.errors import BagError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
-from humanpred_ros.viewing import run_topics
-from humanpred_ros.viewing.tracks import (
+from humanpred_ros.viewing.recorded import (
+    JointTrack,
     Latency,
     OccupancySnapshot,
     OccupancyTrack,
     PosteriorTrack,
-    PostureTrack,
     RecordedDecision,
-    RobotTrack,
-    SentTrajectory,
+    cloud_of,
+    decision_of,
+    grid_of,
+    positions_of,
+    trajectory_of,
 )
 
 #: Names of a run's latencies; the wall-clock times of sending are compared.
@@ -48,39 +50,25 @@ _ENDLESS = ("r_forearm_roll_joint", "r_wrist_roll_joint")
 
 @dataclass(frozen=True)
 class Run:
-    """Everything recorded in one run: immutable.
-
-    Attributes:
-        folder: the run's folder.
-        facts: what the recorder was told about the run (scene, library, trajectory, seed, mode, ...).
-        origin_ns: stamp of the first posture (or of whatever came first); all `t_s` count from it.
-        duration_s: data time from the origin to the last posture, decision or robot state.
-        recorded_ns: wall time of the first message in ns since the epoch, 0 without messages.
-        wall_s: wall time from the first to the last message.
-        motion_duration_s: length of the human's motion, 0 if unknown.
-        postures, posterior, occupancy, decisions, robot, trajectories, latencies: see `tracks`.
-        topics: the bag's topics with their message counts, by name.
-        human_urdf: the tracked body's URDF, empty if it was not recorded.
-        notes: what was left out when reading, and why.
-    """
+    """Everything recorded in one run: immutable. For its series see `recorded`."""
 
     folder: Path
-    facts: Mapping[str, str]
-    origin_ns: int
-    duration_s: float
-    recorded_ns: int
-    wall_s: float
-    motion_duration_s: float
-    postures: PostureTrack
+    facts: Mapping[str, str]  #: what the recorder was told about the run (scene, library, trajectory, seed, mode, ...)
+    origin_ns: int  #: stamp of the first posture (or of whatever came first); all `t_s` count from it
+    duration_s: float  #: data time from the origin to the last posture, decision or robot state
+    recorded_ns: int  #: wall time of the first message in ns since the epoch, 0 without messages
+    wall_s: float  #: wall time from the first to the last message
+    motion_duration_s: float  #: length of the human's motion, 0 if unknown
+    postures: JointTrack
     posterior: PosteriorTrack
     occupancy: OccupancyTrack
     decisions: tuple[RecordedDecision, ...]
-    robot: RobotTrack
-    trajectories: tuple[SentTrajectory, ...]
+    robot: JointTrack
+    trajectories: tuple[JointTrack, ...]  #: as sent to the arm's controller
     latencies: tuple[Latency, ...]
-    topics: tuple[TopicInfo, ...]
-    human_urdf: str = ""
-    notes: tuple[str, ...] = ()
+    topics: tuple[TopicInfo, ...]  #: of the bag, with their message counts, by name
+    human_urdf: str = ""  #: of the tracked body, empty if it was not recorded
+    notes: tuple[str, ...] = ()  #: what was left out when reading, and why
 
     @property
     def steps(self) -> tuple[RecordedDecision, ...]:
@@ -91,6 +79,13 @@ class Run:
     def goal_names(self) -> tuple[str, ...]:
         """Names of the goals planned for, in the order of their first appearance."""
         return tuple(dict.fromkeys(goal.name for step in self.steps for goal in step.goals))
+
+    @property
+    def planning(self) -> Latency:
+        """Wall time of each replanning step, as far as it is told."""
+        told = [(step.t_s, step.compute_s) for step in self.steps if np.isfinite(step.compute_s)]
+        table = np.array(told, dtype=np.float64).reshape(-1, 2)
+        return Latency("planning one step", table[:, 0], table[:, 1])
 
     @property
     def seen_percent(self) -> float | None:
@@ -113,129 +108,85 @@ def read_run(folder: str | Path) -> Run:
     folder = Path(folder)
     if not (folder / "bag").is_dir():
         raise BagError(f"{folder}: wanted a run (a folder with a bag/ in it), found none; record one: humanpred demo")
-    reader = BagReader(folder / "bag")
-    load = _Loader(reader)
-    human_topic = topics.body_topic(reader.topics, topics.human_joint_states)
-    human = load.stamped(human_topic, messages.JOINT_STATE)
-    facts = MappingProxyType(dict(reader.metadata.get("run", {})))
-    postures = _postures(human, load)
+    bag = BagReader(folder / "bag")
+    notes: list[str] = []
+    facts = MappingProxyType(dict(bag.metadata.get("run", {})))
+    human = list(_stamped(bag, topics.body_topic(bag.topics, topics.human_joint_states), messages.JOINT_STATE, notes))
+    postures = _postures(human, notes)
     motion_duration_s = _motion_duration_s(facts, postures)
-    decided = load.stamped(topics.DECISION, messages.DIAGNOSTIC_ARRAY, monotone=False)
-    robot = load.stamped(topics.JOINT_STATES, messages.JOINT_STATE)
-    sent = load.stamped(topics.TRAJECTORY, messages.JOINT_TRAJECTORY, monotone=False)
-    goals = load.stamped(topics.HUMAN_GOALS, messages.POINT_CLOUD2)
-    planned = {entry.stamp_ns for entry in decided if len(entry.message.status) > 1}
-    sample = EvenSample(_sample_times(human, motion_duration_s))
-    occupied = load.stamped(
-        topics.OCCUPANCY,
-        messages.POINT_CLOUD2,
-        keep=lambda stamp, message: _occupied(message, stamp in planned, sample.takes(stamp)),
-    )
+    decided = list(_stamped(bag, topics.DECISION, messages.DIAGNOSTIC_ARRAY))
+    robot = list(_stamped(bag, topics.JOINT_STATES, messages.JOINT_STATE, notes))
+    sent = list(_stamped(bag, topics.TRAJECTORY, messages.JOINT_TRAJECTORY))
+    goals = list(_stamped(bag, topics.HUMAN_GOALS, messages.POINT_CLOUD2, notes))
+    occupied = _Occupancies(bag, decided, _due_ns(human, motion_duration_s), notes)
 
-    firsts = [entries[0].stamp_ns for entries in (human, occupied, decided) if entries]
+    firsts = [entries[0].stamp_ns for entries in (human, occupied.entries, decided) if entries]
     origin_ns = firsts[0] if firsts else (robot[-1].stamp_ns if robot else 0)
-    first_occupancy_s = _seconds(occupied[0].stamp_ns if occupied else origin_ns, origin_ns)
-    decisions = _numbered(
-        [run_topics.decision_of(e.message, _seconds(e.stamp_ns, origin_ns), first_occupancy_s) for e in decided], load
-    )
-    grid = load.text(topics.VOXEL_GRID)
-    lasts = [entries[-1].stamp_ns for entries in (human, occupied, decided, robot) if entries]
+    first_occupancy_s = _seconds(occupied.entries[0].stamp_ns if occupied.entries else origin_ns, origin_ns)
+    decisions = [decision_of(e.message, _seconds(e.stamp_ns, origin_ns), first_occupancy_s) for e in decided]
+    grid = _text(bag, topics.VOXEL_GRID)
+    lasts = [entries[-1].stamp_ns for entries in (human, occupied.entries, decided, robot) if entries]
     return Run(
         folder=folder,
         facts=facts,
         origin_ns=origin_ns,
         duration_s=max((_seconds(stamp, origin_ns) for stamp in lasts), default=0.0),
-        recorded_ns=reader.start_ns or 0,
-        wall_s=(reader.end_ns - reader.start_ns) * 1e-9 if reader.start_ns and reader.end_ns else 0.0,
+        recorded_ns=bag.start_ns or 0,
+        wall_s=(bag.end_ns - bag.start_ns) * 1e-9 if bag.start_ns and bag.end_ns else 0.0,
         motion_duration_s=motion_duration_s,
         postures=postures,
         posterior=_posterior(goals, origin_ns),
-        occupancy=_occupancy(occupied, run_topics.grid_of(grid) if grid else None, origin_ns),
-        decisions=decisions,
+        occupancy=occupied.track(grid_of(grid) if grid else None, origin_ns),
+        decisions=_numbered(decisions, notes),
         robot=_robot(robot, origin_ns),
-        trajectories=tuple(run_topics.trajectory_of(e.message, origin_ns) for e in sent),
+        trajectories=tuple(trajectory_of(e.message, origin_ns) for e in sent),
         latencies=(
-            _delays(POSTURE_TO_OCCUPANCY, human, {e.stamp_ns: e.sent_ns for e in occupied}, origin_ns),
+            _delays(POSTURE_TO_OCCUPANCY, human, {e.stamp_ns: e.sent_ns for e in occupied.entries}, origin_ns),
             _delays(POSTURE_TO_TRAJECTORY, human, _answers(sent, decided), origin_ns),
         ),
-        topics=tuple(sorted(reader.topics.values(), key=lambda topic: topic.name)),
-        human_urdf=load.text(topics.body_topic(reader.topics, topics.human_urdf)),
-        notes=tuple(load.notes),
+        topics=tuple(sorted(bag.topics.values(), key=lambda topic: topic.name)),
+        human_urdf=_text(bag, topics.body_topic(bag.topics, topics.human_urdf)),
+        notes=tuple(notes),
     )
 
 
 class Entry(NamedTuple):
-    """A message with its data time (header stamp), the time it was sent, and what is kept of it."""
+    """A message with its data time (header stamp), and when it was sent and received, in ns since the epoch."""
 
     stamp_ns: int
     sent_ns: int
+    heard_ns: int
     message: Any
 
 
-class EvenSample:
-    """Picks, of messages with rising stamps, those that lie evenly in time: the first one at every due time.
-
-    Clouds are large, so which are kept must be known before they are read.
-    """
-
-    def __init__(self, due_ns: Iterable[int]) -> None:
-        self._due_ns = sorted(due_ns)
-        self._n_past = 0
-
-    def takes(self, stamp_ns: int) -> bool:
-        """Return whether the message with this stamp is one of them; ask for each once, in order."""
-        n_past = bisect_right(self._due_ns, stamp_ns)
-        taken, self._n_past = n_past > self._n_past, n_past
-        return taken
+def stamped(bag: BagReader, topic: str | None, msgtype: str | None = None) -> Iterator[Entry]:
+    """Yield a topic's messages in the order they were logged; none if the bag lacks it, BagError for another type."""
+    if topic is None or topic not in bag.topics:
+        return
+    bag.require_topic(topic, msgtype)
+    for record in bag.messages([topic]):
+        message = bag.decode(record)
+        stamp_ns = messages.ns_from_stamp(message.header.stamp)
+        yield Entry(stamp_ns, record.publish_time_ns, record.log_time_ns, message)
 
 
-class _Loader:
-    """Decodes topics of one bag and notes what it had to leave out."""
-
-    def __init__(self, reader: BagReader) -> None:
-        self.reader = reader
-        self.notes: list[str] = []
-
-    def stamped(
-        self, topic: str | None, msgtype: str, *, monotone: bool = True, keep: Callable[[int, Any], Any] | None = None
-    ) -> list[Entry]:
-        """Return the topic's messages in the order they were logged; none if the bag lacks it.
-
-        Args:
-            topic: name.
-            msgtype: the type it must have (BagError otherwise).
-            monotone: leave out messages whose stamps do not exceed all earlier ones.
-            keep: what to keep of a message, given its stamp; the message itself if None.
-        """
-        if topic is None or topic not in self.reader.topics:
-            return []
-        self.reader.require_topic(topic, msgtype)
-        entries: list[Entry] = []
-        backwards, last_ns = 0, -1
-        for record in self.reader.messages([topic]):
-            message = self.reader.decode(record)
-            stamp = messages.ns_from_stamp(message.header.stamp)
-            if monotone and stamp <= last_ns:
-                backwards += stamp < last_ns  # equal stamps say the same thing twice: nothing to report
-                continue
-            last_ns = stamp
-            entries.append(Entry(stamp, record.publish_time_ns, keep(stamp, message) if keep else message))
-        if backwards:
-            self.notes.append(f"{topic}: {backwards} messages with stamps older than earlier ones were left out")
-        return entries
-
-    def text(self, topic: str | None) -> str:
-        """Return the first text of a String topic, empty if there is none."""
-        texts = self.reader.decoded(topic) if topic and topic in self.reader.topics else iter(())
-        return next((str(message.data) for _, message in texts), "")
+def _stamped(bag: BagReader, topic: str | None, msgtype: str, notes: list[str] | None = None) -> Iterator[Entry]:
+    """Yield as `stamped`; given a list for notes, leave out messages whose stamps do not exceed all earlier ones."""
+    backwards, last_ns = 0, -1
+    for entry in stamped(bag, topic, msgtype):
+        if notes is not None and entry.stamp_ns <= last_ns:
+            backwards += entry.stamp_ns < last_ns  # equal stamps say the same thing twice: nothing to report
+            continue
+        last_ns = entry.stamp_ns
+        yield entry
+    if backwards and notes is not None:
+        notes.append(f"{topic}: {backwards} messages with stamps older than earlier ones were left out")
 
 
-class _Occupied(NamedTuple):
-    n_voxels: int
-    expected_voxels: float
-    planned: bool
-    sampled: bool
-    cloud: tuple[FloatArray, FloatArray] | None
+def _text(bag: BagReader, topic: str | None) -> str:
+    """Return the first text of a String topic, empty if there is none."""
+    texts = bag.decoded(topic) if topic and topic in bag.topics else iter(())
+    return next((str(message.data) for _, message in texts), "")
 
 
 def _seconds(stamp_ns: int, origin_ns: int) -> float:
@@ -246,14 +197,42 @@ def _times(entries: Iterable[Entry], origin_ns: int) -> FloatArray:
     return np.array([_seconds(entry.stamp_ns, origin_ns) for entry in entries], dtype=np.float64)
 
 
-def _occupied(message: Any, planned: bool, sampled: bool) -> _Occupied:
-    """Reduce a cloud to what plots need; whole clouds are kept only where asked, they are large."""
-    centres, probability = run_topics.occupancy_of(message)
-    cloud = (centres, probability) if planned or sampled else None
-    return _Occupied(len(probability), float(probability.sum()), planned, sampled, cloud)
+def _joints(entries: list[Entry], names: tuple[str, ...], origin_ns: int) -> JointTrack:
+    """Return the named joints of joint states; those that lack one, or a finite position of it, are left out."""
+    rows = [(entry, *row) for entry in entries if (row := positions_of(entry.message, names)) is not None]
+    q, v = (np.array([row[k] for row in rows], dtype=np.float64).reshape(len(rows), len(names)) for k in (1, 2))
+    return JointTrack(_times((row[0] for row in rows), origin_ns), q, v, names)
 
 
-def _sample_times(human: list[Entry], motion_s: float) -> list[int]:
+def _postures(entries: list[Entry], notes: list[str]) -> JointTrack:
+    if not entries:
+        return JointTrack(np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)))
+    first = entries[0]  # a run begins with its first posture
+    track = _joints(entries, tuple(first.message.name), first.stamp_ns)
+    if len(track) < len(entries):
+        notes.append(f"{len(entries) - len(track)} postures with missing or non-finite joints were left out")
+    return replace(track, frame_id=str(first.message.header.frame_id))
+
+
+def _robot(entries: list[Entry], origin_ns: int) -> JointTrack:
+    track = _joints(entries, RIGHT_ARM_JOINTS, origin_ns)  # on a real robot others publish states of other joints
+    q = track.q.copy()
+    for j, name in enumerate(RIGHT_ARM_JOINTS):
+        if name in _ENDLESS and len(q):
+            q[:, j] = np.unwrap(q[:, j])  # encoders of such joints start anew after a full turn
+    differences = np.gradient(q, track.t_s, axis=0) if len(q) > 1 else np.zeros_like(q)
+    return replace(track, q=q, v=np.where(np.isfinite(track.v), track.v, differences))
+
+
+def _motion_duration_s(facts: Mapping[str, str], postures: JointTrack) -> float:
+    try:
+        told = float(facts.get("duration_s", ""))
+    except ValueError:
+        told = 0.0
+    return told if np.isfinite(told) and told > 0.0 else postures.motion_end_s
+
+
+def _due_ns(human: list[Entry], motion_s: float) -> list[int]:
     """Return the stamps from which on the next occupancy is worth keeping, none without postures."""
     if not human:
         return []
@@ -261,80 +240,63 @@ def _sample_times(human: list[Entry], motion_s: float) -> list[int]:
     end_ns = min(last_ns, first_ns + round(motion_s * 1e9))
     moving = np.linspace(0, end_ns - first_ns, _SAMPLES_MOVING, endpoint=False)
     resting = np.linspace(end_ns - first_ns, last_ns - first_ns, _SAMPLES_AT_REST)
-    return [first_ns + round(after_ns) for after_ns in np.concatenate([moving, resting]).tolist()]
+    return sorted(first_ns + round(after_ns) for after_ns in np.concatenate([moving, resting]).tolist())
 
 
-def _postures(entries: list[Entry], load: _Loader) -> PostureTrack:
-    origin_ns = entries[0].stamp_ns if entries else 0  # a run begins with its first posture
-    names = tuple(entries[0].message.name) if entries else ()
-    rows = [(entry, run_topics.positions_of(entry.message, names)) for entry in entries]
-    usable = [(entry, row[0]) for entry, row in rows if row is not None]
-    if len(usable) < len(entries):
-        load.notes.append(f"{len(entries) - len(usable)} postures with missing or non-finite joints were left out")
-    return PostureTrack(
-        _times((entry for entry, _ in usable), origin_ns),
-        np.array([q for _, q in usable], dtype=np.float64).reshape(len(usable), len(names)),
-        names,
-        str(entries[0].message.header.frame_id) if entries else "",
-    )
+class _Occupancies:
+    """The occupancies of a bag; whole clouds are large and kept only where they are planned on or sampled."""
+
+    def __init__(self, bag: BagReader, decided: list[Entry], due_ns: list[int], notes: list[str]) -> None:
+        self.planned = {entry.stamp_ns for entry in decided if len(entry.message.status) > 1}
+        self.sampled: set[int] = set()
+        self.entries: list[Entry] = []  # with the probabilities alone as messages
+        self.clouds: dict[int, tuple[FloatArray, ...]] = {}
+        n_past = 0
+        for entry in _stamped(bag, topics.OCCUPANCY, messages.POINT_CLOUD2, notes):
+            stamp, cloud = entry.stamp_ns, cloud_of(entry.message, "probability")
+            self.entries.append(entry._replace(message=(len(cloud[1]), float(cloud[1].sum()))))
+            if (n_due := bisect_right(due_ns, stamp)) > n_past:  # the first one at or after every due time
+                self.sampled.add(stamp)
+            n_past = n_due
+            if stamp in self.planned or stamp in self.sampled:
+                self.clouds[stamp] = cloud
+
+    def track(self, grid: VoxelGrid | None, origin_ns: int) -> OccupancyTrack:
+        """Return them on the run's time axis."""
+        table = np.array([entry.message for entry in self.entries], dtype=np.float64).reshape(-1, 2)
+        snapshots, samples = (
+            tuple(
+                OccupancySnapshot(_seconds(stamp, origin_ns), *cloud)
+                for stamp, cloud in self.clouds.items()
+                if stamp in which
+            )
+            for which in (self.planned, self.sampled)
+        )
+        times = _times(self.entries, origin_ns)
+        return OccupancyTrack(times, table[:, 0].astype(np.int64), table[:, 1], grid, snapshots, samples)
 
 
-def _numbered(decisions: list[RecordedDecision], load: _Loader) -> tuple[RecordedDecision, ...]:
+def _posterior(entries: list[Entry], origin_ns: int) -> PosteriorTrack:
+    clouds = [cloud_of(entry.message, "class_id", "probability") for entry in entries]
+    told = [([int(label) for label in np.rint(labels)], places, p) for places, labels, p in clouds]
+    # Goals may come and go; one that is not told of at a moment has no probability then.
+    place = {label: goal for labels, places, _ in told for label, goal in zip(labels, places, strict=True)}
+    all_labels = tuple(sorted(place))
+    probability = np.zeros((len(told), len(all_labels)))
+    for row, (labels, _, p) in zip(probability, told, strict=True):
+        row[[all_labels.index(label) for label in labels]] = p
+    places = np.array([place[label] for label in all_labels]).reshape(-1, 3)
+    return PosteriorTrack(_times(entries, origin_ns), all_labels, probability, places)
+
+
+def _numbered(decisions: list[RecordedDecision], notes: list[str]) -> tuple[RecordedDecision, ...]:
     """Return the decisions with step numbers that rise; a planner that was started anew counts from 1 again."""
     numbers = [decision.step for decision in decisions if decision.is_step]
     if all(number >= 1 for number in numbers) and all(np.diff(numbers) > 0):
         return tuple(decisions)
-    load.notes.append("the planner's step numbers do not rise from 1 on: replanning steps are counted anew")
+    notes.append("the planner's step numbers do not rise from 1 on: replanning steps are counted anew")
     count = itertools.count(1)
     return tuple(replace(decision, step=next(count)) if decision.is_step else decision for decision in decisions)
-
-
-def _posterior(entries: list[Entry], origin_ns: int) -> PosteriorTrack:
-    columns = [run_topics.posterior_of(entry.message) for entry in entries]
-    if not columns:
-        return PosteriorTrack(np.zeros(0), (), np.zeros((0, 0)), np.zeros((0, 3)))
-    # Goals may come and go; one that is not told of at a moment has no probability then.
-    place = {int(label): goal for labels, _, goals in columns for label, goal in zip(labels, goals, strict=True)}
-    all_labels = tuple(sorted(place))
-    probability = np.zeros((len(columns), len(all_labels)))
-    for row, (labels, told, _) in zip(probability, columns, strict=True):
-        row[[all_labels.index(int(label)) for label in labels]] = told
-    return PosteriorTrack(_times(entries, origin_ns), all_labels, probability, np.array([place[n] for n in all_labels]))
-
-
-def _occupancy(entries: list[Entry], grid: VoxelGrid | None, origin_ns: int) -> OccupancyTrack:
-    times = _times(entries, origin_ns)
-
-    def kept(which: Callable[[_Occupied], bool]) -> tuple[OccupancySnapshot, ...]:
-        return tuple(
-            OccupancySnapshot(float(t), *entry.message.cloud)
-            for t, entry in zip(times, entries, strict=True)
-            if which(entry.message)
-        )
-
-    return OccupancyTrack(
-        times,
-        np.array([entry.message.n_voxels for entry in entries], dtype=np.int64),
-        np.array([entry.message.expected_voxels for entry in entries], dtype=np.float64),
-        grid,
-        kept(lambda occupied: occupied.planned),
-        kept(lambda occupied: occupied.sampled),
-    )
-
-
-def _robot(entries: list[Entry], origin_ns: int) -> RobotTrack:
-    # Other publishers share the topic on a real robot; states without the arm are theirs.
-    rows = [(entry, run_topics.positions_of(entry.message, RIGHT_ARM_JOINTS)) for entry in entries]
-    usable = [(entry, *row) for entry, row in rows if row is not None]
-    n_joints = len(RIGHT_ARM_JOINTS)
-    t_s = _times((entry for entry, _, _ in usable), origin_ns)
-    q = np.array([q for _, q, _ in usable], dtype=np.float64).reshape(-1, n_joints)
-    v = np.array([v for _, _, v in usable], dtype=np.float64).reshape(-1, n_joints)
-    for j, name in enumerate(RIGHT_ARM_JOINTS):
-        if name in _ENDLESS and len(q):
-            q[:, j] = np.unwrap(q[:, j])  # encoders of such joints start anew after a full turn
-    differences = np.gradient(q, t_s, axis=0) if len(q) > 1 else np.zeros_like(q)
-    return RobotTrack(t_s, q, np.where(np.isfinite(v), v, differences), RIGHT_ARM_JOINTS)
 
 
 def _answers(sent: list[Entry], decided: list[Entry]) -> dict[int, int]:
@@ -353,18 +315,6 @@ def _answers(sent: list[Entry], decided: list[Entry]) -> dict[int, int]:
 
 
 def _delays(name: str, human: list[Entry], sent_ns: Mapping[int, int], origin_ns: int) -> Latency:
-    pairs = [
-        (_seconds(posture.stamp_ns, origin_ns), (sent_ns[posture.stamp_ns] - posture.sent_ns) * 1e-9)
-        for posture in human
-        if posture.stamp_ns in sent_ns
-    ]
-    table = np.array(pairs, dtype=np.float64).reshape(-1, 2)
-    return Latency(name, table[:, 0], table[:, 1])
-
-
-def _motion_duration_s(facts: Mapping[str, str], postures: PostureTrack) -> float:
-    try:
-        told = float(facts.get("duration_s", ""))
-    except ValueError:
-        told = 0.0
-    return told if np.isfinite(told) and told > 0.0 else postures.motion_end_s
+    answered = [posture for posture in human if posture.stamp_ns in sent_ns]
+    delay_s = [(sent_ns[posture.stamp_ns] - posture.sent_ns) * 1e-9 for posture in answered]
+    return Latency(name, _times(answered, origin_ns), np.array(delay_s, dtype=np.float64))

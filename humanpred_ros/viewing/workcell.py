@@ -15,8 +15,8 @@ from humanpred_ros.geometry.shapes import Obstacle
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.robot.pr2 import Pr2Arm
 from humanpred_ros.robot.scene import Scene, load_scene
+from humanpred_ros.viewing.recorded import JointTrack
 from humanpred_ros.viewing.run import Run
-from humanpred_ros.viewing.tracks import PostureTrack
 
 _PALM = "right_palm"
 _OUTLINE_SPACING_M = 0.03
@@ -24,17 +24,11 @@ _OUTLINE_SPACING_M = 0.03
 
 @dataclass(frozen=True)
 class Workcell:
-    """What a run's recordings are measured and drawn with; parts that cannot be found are None.
+    """What a run's recordings are measured and drawn with; parts that cannot be found are None."""
 
-    Attributes:
-        scene: the scene the facts name.
-        human: the recorded URDF's model, else the 12-DoF human.
-        notes: why a part is missing.
-    """
-
-    scene: Scene | None
-    human: HumanModel | None
-    notes: tuple[str, ...] = ()
+    scene: Scene | None  #: that the facts name
+    human: HumanModel | None  #: the recorded URDF's model, else the 12-DoF human
+    notes: tuple[str, ...] = ()  #: why a part is missing
 
     @property
     def arm(self) -> Pr2Arm | None:
@@ -48,20 +42,8 @@ class Workcell:
 
     @cached_property
     def goals(self) -> Mapping[str, FloatArray]:
-        """Preferred goal configurations (7,) by name."""
-        return {} if self.scene is None else {goal.name: goal.configuration for goal in self.scene.goals}
-
-    @cached_property
-    def goal_sets(self) -> Mapping[str, FloatArray]:
         """All configurations (K, 7) in which a goal is reached, by name, the preferred one first."""
         return {} if self.scene is None else {goal.name: goal.configurations for goal in self.scene.goals}
-
-    def joint_limits(self, joint: int) -> tuple[float, float, float]:
-        """Return lower and upper limit and the largest speed of an arm joint; infinite where unknown."""
-        if self.arm is None:
-            return -np.inf, np.inf, np.inf
-        chain = self.arm.chain
-        return float(chain.lower[joint]), float(chain.upper[joint]), float(chain.velocity_limit[joint])
 
     def tool_path(self, q: FloatArray) -> FloatArray:
         """Return the tool's places (T, 3) at configurations (T, 7), world frame; none without an arm."""
@@ -69,11 +51,7 @@ class Workcell:
             return np.zeros((0, 3))
         return np.asarray(self.arm.chain.tool_pose(q)[:, :3, 3], dtype=np.float64)
 
-    def goal_places(self) -> dict[str, FloatArray]:
-        """Return where the tool is at each goal in its preferred configuration, world frame."""
-        return {name: self.tool_path(q[None])[0] for name, q in self.goals.items()}
-
-    def palm_path(self, postures: PostureTrack) -> FloatArray:
+    def palm_path(self, postures: JointTrack) -> FloatArray:
         """Return the right palm's places (T, 3) in the world frame; none without a scene or a palm."""
         if self.scene is None or self.human is None or not len(postures) or _PALM not in self.human.link_names:
             return np.zeros((0, 3))
@@ -83,11 +61,12 @@ class Workcell:
         """Return the outlines (N, 2) of the human's bodies in posture (D,), from above, the lowest body first."""
         if self.scene is None or self.human is None:
             return []
-        outlines: list[tuple[float, FloatArray]] = []
-        for body, T in zip(self.human.bodies, self.human.body_poses(q), strict=True):
-            world = _moved(self.scene.T_world_human @ T, body.shape.sample(_OUTLINE_SPACING_M))
-            outlines.append((float(world[:, 2].max()), world[ConvexHull(world[:, :2]).vertices, :2]))
-        return [outline for _, outline in sorted(outlines, key=lambda entry: entry[0])]
+        points = [
+            _moved(self.scene.T_world_human @ T, body.shape.sample(_OUTLINE_SPACING_M))
+            for body, T in zip(self.human.bodies, self.human.body_poses(q), strict=True)
+        ]
+        upwards = sorted(points, key=lambda world: float(world[:, 2].max()))
+        return [world[ConvexHull(world[:, :2]).vertices, :2] for world in upwards]
 
 
 def load_workcell(run: Run) -> Workcell:
@@ -106,7 +85,7 @@ def load_workcell(run: Run) -> Workcell:
     try:
         human = HumanModel(run.human_urdf) if run.human_urdf else HumanModel.kinect12()
         if len(run.postures):
-            human.check_dofs(run.postures.dof_names)
+            human.check_dofs(run.postures.names)
     except HumanModelError as trouble:
         human = None
         notes.append(f"the recorded postures fit no human model, so distances are not evaluated: {trouble}")
@@ -120,23 +99,21 @@ def _moved(T: FloatArray, points_m: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Clearance:
-    """Least distance between the robot's spheres and the human's body, at every posture.
+    """Least distance between the robot's spheres and the human's body, at every posture."""
 
-    Attributes:
-        t_s: (T,) times of the postures for which the arm's configuration is known.
-        distance_m: (T,) negative where they penetrate.
-        robot_link, human_body: (T,) names of the two parts that are closest.
-        place_m: (T, 3) centre of the robot's closest sphere, world frame.
-    """
-
-    t_s: FloatArray
-    distance_m: FloatArray
-    robot_link: tuple[str, ...] = ()
+    t_s: FloatArray  #: (T,) times of the postures for which the arm's configuration is known
+    distance_m: FloatArray  #: (T,) negative where they penetrate
+    robot_link: tuple[str, ...] = ()  #: (T,) names of the two parts that are closest
     human_body: tuple[str, ...] = ()
-    place_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    place_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  #: (T, 3) of that link's sphere, world frame
 
     def __len__(self) -> int:
         return len(self.t_s)
+
+    @property
+    def closest(self) -> int:
+        """Number of the posture at which they are closest; there must be one."""
+        return int(np.argmin(self.distance_m))
 
 
 def measure_clearance(run: Run, workcell: Workcell) -> Clearance:

@@ -10,7 +10,7 @@ import pytest
 
 from humanpred_ros.planning.decision import EVADE, HOLD, REPLAN, Decision, GoalReport
 from humanpred_ros.planning.trajectory import TimedTrajectory
-from humanpred_ros.viewing.run_topics import decision_of
+from humanpred_ros.viewing.recorded import decision_of
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
 from humanpred_ros.nodes import conversions

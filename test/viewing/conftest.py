@@ -19,8 +19,8 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
 from humanpred_ros.robot.scene import Scene, load_scene
+from humanpred_ros.viewing.analysis import Analysis, RunSummary, analyse
 from humanpred_ros.viewing.run import Run, read_run
-from humanpred_ros.viewing.summary import RunSummary, summarise
 
 REACH_START = (-0.169, -1.821, 0.763, 1.33, 0.05, 0.02, 0.0, 0.80, 0.05, -0.30, 0.10, 0.35)
 REACH_END = (-0.150, -1.700, 0.750, 1.45, 0.12, 0.12, 0.0, 1.50, 0.60, -0.55, 0.12, 0.55)
@@ -108,8 +108,13 @@ def full(full_folder: Path) -> Run:
 
 
 @pytest.fixture(scope="session")
-def full_summary(full: Run) -> RunSummary:
-    return summarise(full)
+def analysis(full: Run) -> Analysis:
+    return analyse(full)
+
+
+@pytest.fixture(scope="session")
+def full_summary(analysis: Analysis) -> RunSummary:
+    return analysis.summary
 
 
 def smooth(t_s: FloatArray, t0: float, t1: float) -> FloatArray:

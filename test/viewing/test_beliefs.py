@@ -14,11 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from humanpred_ros.viewing.analysis import RunSummary, analyse
 from humanpred_ros.viewing.key_figures import print_summary
+from humanpred_ros.viewing.recorded import PosteriorTrack
 from humanpred_ros.viewing.run import Run, read_run
-from humanpred_ros.viewing.run_summary import RunSummary
-from humanpred_ros.viewing.summary import summarise
-from humanpred_ros.viewing.tracks import PosteriorTrack
 
 REACH_S = 1.65
 
@@ -46,7 +45,7 @@ def test_at_rest_afterwards_nothing_is_recognised(full: Run, full_summary: RunSu
     probability = full.posterior.probability.copy()
     probability[full.posterior.t_s > REACH_S + 1e-6] = np.linspace(0.2, 0.05, 8)
     fresh = dataclasses.replace(full, posterior=dataclasses.replace(full.posterior, probability=probability))
-    summary = summarise(fresh)
+    summary = analyse(fresh).summary
     assert summary.beliefs == full_summary.beliefs
     assert summary.recognised == full_summary.recognised
 
@@ -57,7 +56,7 @@ def test_movements_with_rest_between_are_told_apart(full: Run) -> None:
     probability[(t_s < 0.3) | ((t_s > 0.9) & (t_s < 1.1))] = 1.0 / 8.0
     probability[t_s >= 1.1] = 0.01 * np.eye(8)[6] + 0.001
     run = dataclasses.replace(full, posterior=dataclasses.replace(full.posterior, probability=probability))
-    summary = summarise(run)
+    summary = analyse(run).summary
     reach, back = summary.beliefs
     assert (reach.best_class, reach.rather_unknown) == (3, False)
     assert 0.3 <= reach.from_s <= reach.since_s < reach.until_s <= 0.9
@@ -73,7 +72,9 @@ def test_movements_with_rest_between_are_told_apart(full: Run) -> None:
 
 def test_who_never_leaves_rest_is_not_recognised(full: Run) -> None:
     prior = np.full_like(full.posterior.probability, 1.0 / 8.0)
-    summary = summarise(dataclasses.replace(full, posterior=dataclasses.replace(full.posterior, probability=prior)))
+    summary = analyse(
+        dataclasses.replace(full, posterior=dataclasses.replace(full.posterior, probability=prior))
+    ).summary
     assert summary.beliefs == ()
     assert re.search(r"reach recognised +no +true class 3", printed(summary))
 
@@ -85,7 +86,7 @@ def test_many_movements_are_listed_in_short(full_summary: RunSummary) -> None:
 
 
 def test_probability_of_no_class_is_what_the_classes_leave(make_run: Callable[..., Path]) -> None:
-    summary = summarise(read_run(make_run(unknown=0.4)))
+    summary = analyse(read_run(make_run(unknown=0.4))).summary
     (belief,) = summary.beliefs
     assert belief.unknown == pytest.approx(0.4, abs=0.01)
     assert belief.unknown_max == pytest.approx(0.8, abs=0.02)
@@ -112,6 +113,6 @@ def test_probability_of_no_class_is_a_probability(parts: list[float], known: flo
 
 
 def test_without_a_posterior_nothing_is_believed(make_run: Callable[..., Path]) -> None:
-    summary = summarise(read_run(make_run(without=("/human_goals",), n_postures=12, held=0)))
+    summary = analyse(read_run(make_run(without=("/human_goals",), n_postures=12, held=0))).summary
     assert summary.beliefs == ()
     assert "most probable" not in printed(summary)

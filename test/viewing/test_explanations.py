@@ -15,18 +15,17 @@ from rich.console import Console
 
 from humanpred_ros.robot.goals import Goal
 from humanpred_ros.robot.scene import Scene
-from humanpred_ros.viewing.figures import goal_colours, report_style
+from humanpred_ros.viewing.analysis import analyse
+from humanpred_ros.viewing.figures import report_style
 from humanpred_ros.viewing.key_figures import key_figures, print_summary
 from humanpred_ros.viewing.plots_decisions import cost_terms_plot, goal_costs_plot
 from humanpred_ros.viewing.plots_space import top_view_plot
 from humanpred_ros.viewing.plots_time import clearance_plot
+from humanpred_ros.viewing.recorded import GoalPlan, RecordedDecision
 from humanpred_ros.viewing.report import render_report, told_of_goals
 from humanpred_ros.viewing.run import Run, read_run
-from humanpred_ros.viewing.summary import summarise
-from humanpred_ros.viewing.tracks import GoalPlan, RecordedDecision
-from humanpred_ros.viewing.workcell import Workcell, load_workcell, measure_clearance
+from humanpred_ros.viewing.workcell import Workcell, load_workcell
 
-COLOURS = goal_colours(("red", "blue"))
 SET_ASIDE = "the person is likely to come within 0.02 m of r_wrist_roll there"
 WHY = "red costs 0.0100, blue 0.0900"
 COMES = (
@@ -63,9 +62,7 @@ def told(full: Run) -> Run:
 def words(told: Run) -> str:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("humanpred_ros.viewing.report.draw_plots", lambda *parts: ())  # slow, and tested elsewhere
-        return re.sub(
-            r"<[^>]*>", " ", re.sub(r"<style>.*?</style>", "", render_report(told, summarise(told)), flags=re.S)
-        )
+        return re.sub(r"<[^>]*>", " ", re.sub(r"<style>.*?</style>", "", render_report(analyse(told)), flags=re.S))
 
 
 def test_report_tells_costs_margin_and_reasons(words: str) -> None:
@@ -89,16 +86,16 @@ def test_bags_that_do_not_tell_these_are_read_and_shown_without(full: Run, monke
     goal = full.steps[0].goals[0]
     assert np.isnan([goal.rest, goal.task_cost, full.steps[0].margin]).all()
     assert (goal.alternative, goal.set_aside, goal.revived, goal.eligible) == (0, "", False, True)
-    columns = told_of_goals(full)
-    assert not any((columns.rest, columns.task_cost, columns.alternative, columns.margin))
-    text = render_report(full, summarise(full))
+    columns = told_of_goals(full.steps)
+    assert not any(columns[name] for name in ("rest", "task_cost", "alternative", "margin"))
+    text = render_report(analyse(full))
     assert "<th>margin</th>" not in text
     assert "<th>rest</th>" not in text
     assert "no reason was recorded" in text
 
 
 def test_summary_tells_margins_reasons_and_what_was_out_of_the_question(told: Run) -> None:
-    summary = summarise(told)
+    summary = analyse(told).summary
     rows = {row.step: row for row in summary.steps}
     assert rows[3].out == {"blue": SET_ASIDE}
     assert rows[2].out == {"blue": "in collision with the table at waypoint 31"}
@@ -117,7 +114,7 @@ def test_summary_tells_margins_reasons_and_what_was_out_of_the_question(told: Ru
 
 
 def test_getting_out_of_the_way_is_a_step_on_no_goal(told: Run, full: Run) -> None:
-    summary = summarise(told)
+    summary = analyse(told).summary
     (evasion,), (hold,) = summary.evasions, summary.holds
     steps = {step.step: step for step in told.steps}
     # Distances inside a reason differ from one to the next: it is one evasion all the same.
@@ -125,7 +122,7 @@ def test_getting_out_of_the_way_is_a_step_on_no_goal(told: Run, full: Run) -> No
     assert evasion.t_s == steps[6].t_switch_s
     assert evasion.until_s == hold.t_s == steps[8].t_switch_s
     assert hold.until_s == steps[10].t_switch_s  # the ninth was missed
-    assert [row.effective for row in summary.steps[4:10]] == [True, False, False, False, False, True]
+    assert [row.lost_to for row in summary.steps[4:10]] == ["", "evade", "evade", "hold", "missed", ""]
     # A missed step leaves the arm at what it did.
     assert [row.instead for row in summary.steps[4:10]] == ["", "evade", "evade", "hold", "hold", ""]
     assert len(summary.steps) == len(full.steps)
@@ -134,7 +131,7 @@ def test_getting_out_of_the_way_is_a_step_on_no_goal(told: Run, full: Run) -> No
 
 
 def test_evading_sends_a_trajectory_that_counts_as_an_answer(make_run: Callable[..., Path], full: Run) -> None:
-    assert summarise(full).evasions == ()
+    assert analyse(full).summary.evasions == ()
     run = read_run(make_run(evade_step=5, n_postures=60, held=0))
     plain = read_run(make_run(n_postures=60, held=0))
     assert [step.action for step in run.steps][4] == "evade"
@@ -144,7 +141,7 @@ def test_evading_sends_a_trajectory_that_counts_as_an_answer(make_run: Callable[
 def test_a_run_that_ends_aside_says_so(full: Run) -> None:
     start = dataclasses.replace(full.robot, q=np.repeat(full.robot.q[:1], len(full.robot), axis=0))
     last = dataclasses.replace(full.decisions[-1], action="evade", reason="the person comes")
-    summary = summarise(dataclasses.replace(full, robot=start, decisions=(*full.decisions[:-1], last)))
+    summary = analyse(dataclasses.replace(full, robot=start, decisions=(*full.decisions[:-1], last))).summary
     assert summary.outcome == "The run ended while the arm moved out of the person's way: the person comes."
 
 
@@ -153,19 +150,17 @@ def legend(axes: object) -> set[str]:
 
 
 def test_plots_show_what_was_set_aside_and_when_the_arm_worked_on_no_goal(told: Run, full: Run) -> None:
-    summary, workcell = summarise(told), load_workcell(told)
+    analysis = analyse(told)
     with report_style():
-        costs = goal_costs_plot(told, summary, COLOURS).axes[0]
+        costs = goal_costs_plot(analysis).axes[0]
         assert {"set aside", "arm moves aside", "arm stops", "step missed", "plan invalid"} <= legend(costs)
-        assert not {"set aside", "arm moves aside", "arm stops"} & legend(
-            goal_costs_plot(full, summarise(full), COLOURS).axes[0]
-        )
+        assert not {"set aside", "arm moves aside", "arm stops"} & legend(goal_costs_plot(analyse(full)).axes[0])
         rings = [line for line in costs.lines if line.get_markersize() == 11]
         ringed = {int(x) for line in rings for x in line.get_xdata()}  # type: ignore[union-attr]
-        assert ringed == {row.step for row in summary.steps} - {6, 7, 8, 9}
-        strip = [text.get_text() for text in cost_terms_plot(told, summary, COLOURS).axes[0].texts]
+        assert ringed == {row.step for row in analysis.summary.steps} - {6, 7, 8, 9}
+        strip = [text.get_text() for text in cost_terms_plot(analysis).axes[0].texts]
         assert strip.count("blue chosen") == 2  # before and after
-        distances = clearance_plot(told, summary, measure_clearance(told, workcell), COLOURS)
+        distances = clearance_plot(analysis)
         assert "arm moves aside" in {text.get_text() for text in distances.axes[0].texts}
 
 
@@ -179,15 +174,14 @@ def several(full: Run, scene: Scene) -> Workcell:
 
 
 def test_a_goal_is_reached_in_any_of_its_configurations(full: Run, several: Workcell) -> None:
-    reached = summarise(full, several).reached
+    reached = analyse(full, several).summary.reached
     assert reached is not None
     assert (reached.goal, reached.error_rad) == ("blue", 0.0)
-    assert np.array_equal(several.goals["blue"], several.goal_sets["blue"][0])
 
 
 def test_top_view_says_which_of_several_configurations_it_shows(full: Run, several: Workcell) -> None:
     with report_style():
-        figure = top_view_plot(full, summarise(full), several, measure_clearance(full, several), COLOURS)
+        figure = top_view_plot(analyse(full, several))
     texts = {text.get_text() for text in figure.legends[0].get_texts()}
     assert {"goal red", "goal blue (preferred of 3)"} <= texts
 
@@ -198,21 +192,16 @@ def test_columns_come_with_the_first_goal_that_needs_them() -> None:
 
     def columns(*goals: GoalPlan) -> tuple[bool, bool, bool]:
         step = RecordedDecision(0.0, "replan", 1, "a", "", False, "", 0.1, 0.01, goals)
-        found = told_of_goals(_Steps((step,)))  # type: ignore[arg-type]
-        return found.rest, found.task_cost, found.alternative
+        found = told_of_goals((step,))
+        return found["rest"], found["task_cost"], found["alternative"]
 
     assert columns(plain) == (True, False, False)
     assert columns(plain, other) == (True, True, True)
 
 
-@dataclasses.dataclass
-class _Steps:
-    steps: tuple[RecordedDecision, ...]
-
-
 def test_keeping_to_the_way_aside_is_no_work_on_a_goal(told: Run) -> None:
     steps = {step.step: step for step in told.steps}
     steps[7] = dataclasses.replace(steps[7], action="keep", reason="on its way aside; no path can be executed (red: x)")
-    summary = summarise(replaced(told, steps))
+    summary = analyse(replaced(told, steps)).summary
     assert [row.instead for row in summary.steps[4:8]] == ["", "evade", "evade", "hold"]
     assert [evasion.decisions for evasion in summary.evasions] == [1]

@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from humanpred_ros.errors import UsageError
+from humanpred_ros.viewing.analysis import Analysis, RunSummary, analyse
 from humanpred_ros.viewing.figures import goal_colours, report_style, svg_of
 from humanpred_ros.viewing.key_figures import key_figures
 from humanpred_ros.viewing.plots_decisions import cost_terms_plot, goal_costs_plot, posterior_plot
@@ -24,11 +25,7 @@ from humanpred_ros.viewing.plots_time import occupancy_plot
 from humanpred_ros.viewing.reliability import reliability_plot
 from humanpred_ros.viewing.report import render_report, reproduce_command, write_report
 from humanpred_ros.viewing.run import Run, read_run
-from humanpred_ros.viewing.run_summary import RunSummary
-from humanpred_ros.viewing.summary import summarise
-from humanpred_ros.viewing.workcell import load_workcell, measure_clearance
 
-COLOURS = goal_colours(("red", "blue"))
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 
 
@@ -70,8 +67,8 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def text(full: Run, full_summary: RunSummary) -> str:
-    return render_report(full, full_summary)
+def text(analysis: Analysis) -> str:
+    return render_report(analysis)
 
 
 @pytest.fixture(scope="module")
@@ -112,8 +109,8 @@ def test_page_tells_decisions_facts_and_topics(page: Page, full: Run, full_summa
     assert "not safety-rated" in page.words
 
 
-def test_same_run_gives_the_same_report(text: str, full: Run, full_summary: RunSummary) -> None:
-    assert render_report(full, full_summary) == text
+def test_same_run_gives_the_same_report(text: str, full: Run) -> None:
+    assert render_report(analyse(full)) == text
 
 
 def test_recorded_text_cannot_become_markup(full: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,31 +118,31 @@ def test_recorded_text_cannot_become_markup(full: Run, monkeypatch: pytest.Monke
     evil = "<script>alert(1)</script> & <b>"
     decisions = tuple(dataclasses.replace(d, reason=evil) if d.goals else d for d in full.decisions)
     run = dataclasses.replace(full, facts={**full.facts, "operator": evil, "trajectory": evil}, decisions=decisions)
-    page = Page(render_report(run, summarise(run)))
+    page = Page(render_report(analyse(run)))
     assert "script" not in page.tags
     assert evil in page.words
 
 
 def test_empty_run_gives_a_report_that_says_so(make_run: Callable[..., Path], tmp_path: Path) -> None:
     run = read_run(make_run(n_postures=0))
-    write_report(run, summarise(run), tmp_path / "report.html")
+    write_report(analyse(run), tmp_path / "report.html")
     page = Page((tmp_path / "report.html").read_text(encoding="utf-8"))
     assert "Nothing was recorded" in page.words
     assert "No replanning step was recorded" in page.words
 
 
 def test_report_is_replaced_as_a_whole_or_not_at_all(
-    full: Run, full_summary: RunSummary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    analysis: Analysis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rendered = "new \N{GREEK SMALL LETTER PI}"
     monkeypatch.setattr("humanpred_ros.viewing.report.render_report", lambda *run: rendered)
     path = tmp_path / "report.html"
     path.write_text("old", encoding="utf-8")
-    write_report(full, full_summary, path)
+    write_report(analysis, path)
     assert path.read_text(encoding="utf-8") == rendered
     assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
     with pytest.raises(UsageError, match="cannot be written"):
-        write_report(full, full_summary, tmp_path / "no" / "report.html")
+        write_report(analysis, tmp_path / "no" / "report.html")
 
 
 def test_command_to_repeat_is_one_the_command_line_takes(full: Run) -> None:
@@ -188,16 +185,17 @@ def test_without_occupancy_the_comparison_is_left_out_with_its_reason(
 ) -> None:
     monkeypatch.setattr("humanpred_ros.viewing.report.draw_plots", lambda *parts: ())  # slow, and tested above
     run = read_run(make_run(without=("/human_occupancy",)))
-    page = Page(render_report(run, summarise(run)))
+    page = Page(render_report(analyse(run)))
     assert "calibration" not in page.ids
     assert "no occupancy was recorded" in page.words
-    assert not any("calibration" in figure.name for figure in key_figures(summarise(run)))
+    assert not any("calibration" in figure.name for figure in key_figures(analyse(run).summary))
 
 
 def test_probability_of_no_class_is_shown_where_there_is_any(make_run: Callable[..., Path], full: Run) -> None:
     for run, shown in ((read_run(make_run(unknown=0.3, held=5)), True), (full, False)):
-        summary = summarise(run)
-        labels = posterior_plot(run, summary, COLOURS).axes[0].get_legend_handles_labels()[1]
+        analysis = analyse(run)
+        summary = analysis.summary
+        labels = posterior_plot(analysis).axes[0].get_legend_handles_labels()[1]
         assert ("no known class" in labels) == shown
         tiles = [figure for figure in key_figures(summary) if "no known class" in figure.name]
         assert [(tile.value, tile.alarming) for tile in tiles] == ([("30 %", False)] if shown else [])
@@ -234,17 +232,17 @@ def test_plots_survive_costs_that_are_zero_missing_or_alone(full: Run) -> None:
         run = dataclasses.replace(full, decisions=changed)
         with report_style():
             for draw in (goal_costs_plot, cost_terms_plot):
-                ElementTree.fromstring(svg_of(draw(run, summarise(run), COLOURS), "plot"))
+                ElementTree.fromstring(svg_of(draw(analyse(run)), "plot"))
 
 
 def test_plots_survive_a_run_without_its_scene_or_lattice(full: Run) -> None:
     bare = dataclasses.replace(full, facts={}, occupancy=dataclasses.replace(full.occupancy, grid=None))
-    summary, workcell = summarise(bare), load_workcell(bare)
+    analysis = analyse(bare)
     with report_style():
         for figure in (
-            top_view_plot(bare, summary, workcell, measure_clearance(bare, workcell), COLOURS),
-            snapshots_plot(bare, summary, workcell, COLOURS),
-            occupancy_plot(bare, summary, COLOURS),
+            top_view_plot(analysis),
+            snapshots_plot(analysis),
+            occupancy_plot(analysis),
         ):
             ElementTree.fromstring(svg_of(figure, "plot"))
 

@@ -15,11 +15,10 @@ from rich.console import Console
 
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.robot.scene import Scene
+from humanpred_ros.viewing.analysis import GOAL_TOLERANCE_RAD, RunSummary, analyse
 from humanpred_ros.viewing.key_figures import print_summary
+from humanpred_ros.viewing.recorded import RecordedDecision
 from humanpred_ros.viewing.run import POSTURE_TO_OCCUPANCY, Run, read_run
-from humanpred_ros.viewing.run_summary import RunSummary
-from humanpred_ros.viewing.summary import GOAL_TOLERANCE_RAD, summarise
-from humanpred_ros.viewing.tracks import RecordedDecision
 from humanpred_ros.viewing.workcell import load_workcell, measure_clearance
 
 pytestmark = pytest.mark.core
@@ -58,12 +57,12 @@ def test_switch_is_numbered_from_one_and_acts_a_step_later(full_summary: RunSumm
 
 
 def test_a_missed_step_switches_nothing(make_run: Callable[..., Path]) -> None:
-    summary = summarise(read_run(make_run(switch_step=4, missed_step=4)))
+    summary = analyse(read_run(make_run(switch_step=4, missed_step=4))).summary
     assert [switch.step for switch in summary.switches] == [5]
 
 
 def test_first_choice_is_no_switch(make_run: Callable[..., Path]) -> None:
-    assert summarise(read_run(make_run(switch_step=0, held=10))).switches == ()
+    assert analyse(read_run(make_run(switch_step=0, held=10))).summary.switches == ()
 
 
 def test_closest_moment_agrees_with_a_distance_per_posture(
@@ -115,20 +114,20 @@ def test_goal_counts_as_reached_from_the_last_time_it_was_entered(
 
 def test_full_turns_do_not_keep_from_the_goal(full: Run, scene: Scene) -> None:
     q = full.robot.q + 2 * np.pi * np.array([0, 0, 0, 0, -1, 0, 2])
-    summary = summarise(dataclasses.replace(full, robot=dataclasses.replace(full.robot, q=q)))
+    summary = analyse(dataclasses.replace(full, robot=dataclasses.replace(full.robot, q=q))).summary
     assert summary.reached is not None
     assert summary.reached.goal == "blue"
 
 
 def test_an_arm_on_its_way_is_at_no_goal(make_run: Callable[..., Path]) -> None:
     run = read_run(make_run(n_postures=60, held=0))
-    summary = summarise(run)
+    summary = analyse(run).summary
     assert summary.reached is None
     assert "interrupted after 60 % of the reach" in summary.outcome
 
 
 def test_holds_in_a_row_are_one_hold_with_its_reason(make_run: Callable[..., Path]) -> None:
-    summary = summarise(read_run(make_run(hold_from_s=0.9)))
+    summary = analyse(read_run(make_run(hold_from_s=0.9))).summary
     (hold,) = summary.holds
     assert hold.t_s >= 0.9
     assert hold.decisions > 50
@@ -147,7 +146,7 @@ def test_a_hold_lasts_until_the_arm_is_sent_on(full: Run) -> None:
     changed = list(full.decisions)
     changed[first + 1], changed[first + 2] = hold(first + 1, "stale: 0.5 s"), hold(first + 2, "stale: 0.6 s")
     changed[-2], changed[-1] = hold(-2, "invalid"), hold(-1, "stale: 0.5 s")
-    a, b, c = summarise(dataclasses.replace(full, decisions=tuple(changed))).holds
+    a, b, c = analyse(dataclasses.replace(full, decisions=tuple(changed))).summary.holds
     assert (a.decisions, a.reason) == (2, "stale: 0.5 s")
     assert a.t_s == full.decisions[first + 1].t_s + 0.001
     assert a.until_s == full.decisions[second].t_switch_s  # decisions to keep on do not send a stopped arm on
@@ -159,7 +158,9 @@ def test_a_step_without_any_way_is_a_step_and_a_hold(full: Run) -> None:
     k = next(k for k, decision in enumerate(full.decisions) if decision.step == 6)
     goals = tuple(dataclasses.replace(goal, valid=False, message="in collision") for goal in full.decisions[k].goals)
     stuck = dataclasses.replace(full.decisions[k], action="hold", reason="no goal can be reached", goals=goals)
-    summary = summarise(dataclasses.replace(full, decisions=(*full.decisions[:k], stuck, *full.decisions[k + 1 :])))
+    summary = analyse(
+        dataclasses.replace(full, decisions=(*full.decisions[:k], stuck, *full.decisions[k + 1 :]))
+    ).summary
     assert len(summary.steps) == len(full.steps)
     assert [hold.reason for hold in summary.holds] == ["no goal can be reached"]
 
@@ -176,7 +177,7 @@ def test_recognition_counts_from_when_it_lasted(full: Run, full_summary: RunSumm
 
 @pytest.mark.parametrize(("trajectory", "found"), [("5/1", "true class 5"), ("77", None), ("99/0", None)])
 def test_recognition_needs_the_true_class(full: Run, trajectory: str, found: str | None) -> None:
-    summary = summarise(dataclasses.replace(full, facts={**full.facts, "trajectory": trajectory}))
+    summary = analyse(dataclasses.replace(full, facts={**full.facts, "trajectory": trajectory})).summary
     if found is None:
         assert summary.recognised is None
     else:
@@ -199,7 +200,7 @@ def test_peak_velocity_is_a_share_of_the_limit(full: Run, full_summary: RunSumma
 
 @pytest.mark.parametrize("facts", [{"scene": ""}, {"scene": "no_such_scene"}])
 def test_a_run_without_its_scene_says_what_that_costs(full: Run, facts: dict[str, str]) -> None:
-    summary = summarise(dataclasses.replace(full, facts={**full.facts, **facts}))
+    summary = analyse(dataclasses.replace(full, facts={**full.facts, **facts})).summary
     assert summary.closest is None
     assert summary.reached is None
     assert len(summary.steps) == 28
@@ -207,8 +208,8 @@ def test_a_run_without_its_scene_says_what_that_costs(full: Run, facts: dict[str
 
 
 def test_postures_of_another_model_are_told(full: Run) -> None:
-    other = dataclasses.replace(full.postures, dof_names=tuple(f"dof{k}" for k in range(12)))
-    summary = summarise(dataclasses.replace(full, postures=other))
+    other = dataclasses.replace(full.postures, names=tuple(f"dof{k}" for k in range(12)))
+    summary = analyse(dataclasses.replace(full, postures=other)).summary
     assert summary.closest is None
     assert any("human model" in text for text in summary.notes)
 
@@ -222,7 +223,7 @@ def test_json_is_strict_and_complete(full: Run, full_summary: RunSummary) -> Non
 
 
 def test_an_empty_run_has_a_summary(make_run: Callable[..., Path]) -> None:
-    summary = summarise(read_run(make_run(n_postures=0)))
+    summary = analyse(read_run(make_run(n_postures=0))).summary
     assert summary.steps == ()
     assert summary.closest is None
     assert summary.planning.median_ms is None
@@ -236,4 +237,4 @@ def test_printed_table_names_goals_and_survives_markup(full: Run, full_summary: 
     assert "step 4" in text
     assert "1 of 28" in text
     odd = tuple(dataclasses.replace(d, action="hold", reason="[/bold] odd [reason") for d in full.decisions)
-    assert "[/bold] odd [reason" in printed(summarise(dataclasses.replace(full, decisions=odd)))
+    assert "[/bold] odd [reason" in printed(analyse(dataclasses.replace(full, decisions=odd)).summary)
