@@ -90,6 +90,7 @@ setup(
             "ezc3d>=1.5",
             "distributed>=2024.1",
             "pytest>=8.0",
+            "pytest-xdist>=3.5",
             "hypothesis>=6.90",
             "ruff>=0.6",
             "mypy>=1.11",
