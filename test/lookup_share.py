@@ -19,11 +19,9 @@ def lookup_share(world: BenchWorld, path: FloatArray) -> tuple[float, float]:
     """Return the shares of points and of spheres looked up in an iteration around the trajectory `path` (N, 7)."""
     planner, count = world.planner, world.workload.rollouts
     bits = iteration_kernels.random_bits(np.random.default_rng(0), path[1:-1].size * count)
-    factor, rollouts = planner.smoothness.factor, np.empty((count + 1, *path.shape), dtype=np.float32)
-    iteration_kernels.sample(
-        np.array(path), bits, iteration_kernels.QUANTILES, planner.noise_std, planner.lower, planner.upper, factor,
-        factor.astype(np.float32), rollouts,
-    )  # fmt: skip
+    run = planner.begin(path, np.random.default_rng(0))
+    rollouts = np.empty((count + 1, *path.shape), dtype=np.float32)
+    iteration_kernels.sample(np.array(path), bits, planner.noise_std, run._rules, rollouts)
     q = rollouts.astype(np.float64).reshape(-1, path.shape[1])
     return _points_done(world, q), _spheres_done(world, q)
 

@@ -17,14 +17,17 @@ import time
 from collections.abc import Callable, Iterator
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 import numba
 from numba.core import event
+from numpy.typing import NDArray
 
 from humanpred_ros.resources import PACKAGE_NAME, cache_root
 
 F = TypeVar("F", bound=Callable[..., Any])
+#: What compiled functions take where the kind of number does not matter.
+Array: TypeAlias = NDArray[Any]
 
 # Untyped on purpose: numba's own annotations differ from release to release, and its settings are made as it is loaded.
 _njit: Any = numba.njit

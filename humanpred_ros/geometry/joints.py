@@ -5,7 +5,6 @@ Nothing here is compiled, so that what only reads descriptions does not load a c
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -72,8 +71,7 @@ class Joints(NamedTuple):
         return np.isin(self.table[:, KIND], (3, 4, 5, 7))
 
 
-@dataclass(frozen=True)
-class FlatChain:
+class FlatChain(NamedTuple):
     """A chain and points fixed to it in single precision, for kernels that plan.
 
     Positions come out in cells of a lattice: `(world - lattice origin) / resolution`.

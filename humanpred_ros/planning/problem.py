@@ -26,9 +26,8 @@ from humanpred_ros.planning.time_parameterisation import time_parameterise
 from humanpred_ros.planning.trajectory import TimedTrajectory
 from humanpred_ros.robot.goals import Goal
 from humanpred_ros.settings import Settings
-from humanpred_ros.stomp.arm_loop import COMPILED_TERMS
 from humanpred_ros.stomp.costs import CostTerm, CostTermRequest, HumanOccupancyCost, ObstacleCost
-from humanpred_ros.stomp.planner import StompPlanner
+from humanpred_ros.stomp.planner import COMPILED_TERMS, StompPlanner
 
 #: What a timed trajectory may lose of clearance against its path, m, and what it may exceed the joint limits by, rad:
 #: corners are rounded off, and what is left of the old velocity leads off the path for a moment.

@@ -25,10 +25,9 @@ from humanpred_ros.reaching.first_guess import FirstGuess, straight_line
 from humanpred_ros.reaching.posture_bounds import PostureBounds
 from humanpred_ros.reaching.surroundings import Surroundings
 from humanpred_ros.settings import Settings, setting
-from humanpred_ros.stomp import iteration_kernels
 from humanpred_ros.stomp.config import StompConfig
 from humanpred_ros.stomp.planner import StompPlanner
-from humanpred_ros.stomp.smoothness import smoothness
+from humanpred_ros.stomp.smoothness import smoothness, solve
 
 #: Beyond the cutoff of every feature.
 _FAR_M = 1e3
@@ -204,5 +203,5 @@ def unit_deviation(n_waypoints: int) -> float:
     smooth = smoothness(n_waypoints)
     middle = np.zeros((smooth.n_free, 1))
     middle[smooth.n_free // 2] = 1.0
-    iteration_kernels.solve(smooth.factor, middle)
+    solve(smooth.factor, middle)
     return float(np.sqrt(middle[smooth.n_free // 2, 0]))

@@ -6,14 +6,13 @@ skipped. No Python objects, so threads run side by side. `test/cost_oracle.py` s
 
 from __future__ import annotations
 
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from humanpred_ros.geometry.chain_kernels import BEFORE_X, BLOCK, Scalar, X, Y, Z, next_joint, place, spread, start
-from humanpred_ros.geometry.compiled import fast, fast_part
-from humanpred_ros.geometry.joints import BOUND, FIRST, LAST
+from humanpred_ros.geometry.compiled import Array, fast, fast_part
+from humanpred_ros.geometry.joints import BOUND, FIRST, LAST, FlatChain
 from humanpred_ros.geometry.lattice_kernels import (
     FREE_ROWS,
     VALUE,
@@ -34,14 +33,54 @@ _SPEED = BEFORE_X
 _0, _1, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 
 
+class Occupied(NamedTuple):
+    """An arm's points and the occupancy they may meet.
+
+    Attributes:
+        arm: in cells of the lattice.
+        lattice: (nx·ny·nz,) probabilities with a border of zeros.
+        shape, cells_per_m: of the lattice.
+        factor, weight: on the sum over points, and on the cost.
+    """
+
+    arm: FlatChain
+    lattice: Array
+    shape: tuple[int, int, int]
+    cells_per_m: np.float32
+    factor: np.float32
+    weight: np.float32
+
+
+class Obstacles(NamedTuple):
+    """An arm's spheres and the obstacles around it.
+
+    Attributes:
+        arm: in cells of the lattice.
+        lattice: (nx·ny·nz,) distances, m.
+        shape, resolution: of the lattice; m.
+        speed_scale: waypoints a second.
+        clearance, margin: distance beyond which nothing is charged, and below which nothing is allowed, m.
+        weight: on the cost.
+    """
+
+    arm: FlatChain
+    lattice: Array
+    shape: tuple[int, int, int]
+    resolution: np.float32
+    speed_scale: np.float32
+    clearance: np.float32
+    margin: np.float32
+    weight: np.float32
+
+
 @fast_part
-def _add_voxels(w: NDArray[Any], cell: NDArray[Any], lattice: NDArray[Any]) -> None:
+def _add_voxels(w: Array, cell: Array, lattice: Array) -> None:
     for i in range(BLOCK):
         w[COST + i] += lattice[cell[i]]
 
 
 @fast_part
-def _outside(w: NDArray[Any], radius: Scalar, nx: int, ny: int, nz: int) -> bool:
+def _outside(w: Array, radius: Scalar, nx: int, ny: int, nz: int) -> bool:
     """Whether balls around (X, Y, Z) all stay in the border, in cells."""
     hx, hy, hz = np.float32(nx) * _HALF, np.float32(ny) * _HALF, np.float32(nz) * _HALF
     inside = _0
@@ -52,23 +91,10 @@ def _outside(w: NDArray[Any], radius: Scalar, nx: int, ny: int, nz: int) -> bool
 
 
 @fast
-def occupancy_sums(
-    q: NDArray[Any],
-    root: NDArray[Any],
-    joints: NDArray[Any],
-    points: NDArray[Any],
-    cells_per_m: Scalar,
-    lattice: NDArray[Any],
-    nx: int,
-    ny: int,
-    nz: int,
-    out: NDArray[Any],
-) -> None:
-    """Write the sum over body points of the lattice value at each point.
-
-    q (M, J) and out (M,); root, joints and points as in `FlatChain`; the lattice (nx·ny·nz,) has a border of
-    zeros.
-    """
+def occupancy_sums(q: Array, occupied: Occupied, out: Array) -> None:
+    """Write the sum (M,) over body points of the lattice's value at each point, at configurations q (M, J)."""
+    root, joints, points = occupied.arm
+    lattice, (nx, ny, nz) = occupied.lattice, occupied.shape
     w = np.zeros(ROWS * BLOCK, dtype=np.float32)
     cell = np.zeros(BLOCK, dtype=np.uint32)
     frames = spread(root)
@@ -83,7 +109,7 @@ def occupancy_sums(
                 continue
             place(w, joints[j, BOUND], joints[j, BOUND + 1], joints[j, BOUND + 2])
             # The lattice is cropped to what is occupied: a link that stays in its border adds zeros only.
-            if _outside(w, joints[j, BOUND + 3] * cells_per_m + _HALF, nx, ny, nz):
+            if _outside(w, joints[j, BOUND + 3] * occupied.cells_per_m + _HALF, nx, ny, nz):
                 continue
             for p in range(begin, end):
                 place(w, points[p, 0], points[p, 1], points[p, 2])
@@ -94,7 +120,7 @@ def occupancy_sums(
 
 
 @fast_part
-def _speeds(w: NDArray[Any], scale: Scalar) -> None:
+def _speeds(w: Array, scale: Scalar) -> None:
     for i in range(BLOCK):
         a, b = w[_BEFORE + i], w[_AFTER + i]
         x = a * (w[X + i] - w[X - 1 + i]) + b * (w[X + 1 + i] - w[X + i])
@@ -104,7 +130,7 @@ def _speeds(w: NDArray[Any], scale: Scalar) -> None:
 
 
 @fast_part
-def _add_potential(w: NDArray[Any], radius: Scalar, clearance: Scalar) -> None:
+def _add_potential(w: Array, radius: Scalar, clearance: Scalar) -> None:
     inverse = _HALF / clearance
     half = _HALF * clearance
     for i in range(BLOCK):
@@ -116,7 +142,7 @@ def _add_potential(w: NDArray[Any], radius: Scalar, clearance: Scalar) -> None:
 
 
 @fast_part
-def mark_ends(w: NDArray[Any], first: int, n_waypoints: int) -> None:
+def mark_ends(w: Array, first: int, n_waypoints: int) -> None:
     """Write the weights of the differences to the waypoints before and after; a rollout's end has but one.
 
     The block begins at waypoint number `first` of rollouts of `n_waypoints` one after the other.
@@ -130,17 +156,9 @@ def mark_ends(w: NDArray[Any], first: int, n_waypoints: int) -> None:
 
 @fast_part
 def add_obstacles(
-    w: NDArray[Any],
-    cell: NDArray[Any],
-    radius: Scalar,
-    slack: Scalar,
-    clearance: Scalar,
-    scale: Scalar,
-    lattice: NDArray[Any],
-    nx: int,
-    ny: int,
-    nz: int,
-) -> None:
+    w: Array, cell: Array, radius: Scalar, slack: Scalar, clearance: Scalar, scale: Scalar, lattice: Array,
+    nx: int, ny: int, nz: int,
+) -> None:  # fmt: skip
     """Add potential x scale x way of spheres at X, Y, Z to COST, and lower NEAREST to their distances.
 
     The way is half that between the neighbouring waypoints, in cells. Nothing is done where every nearest node is
@@ -156,32 +174,19 @@ def add_obstacles(
 
 
 @fast
-def obstacle_sums(
-    q: NDArray[Any],
-    n_waypoints: int,
-    root: NDArray[Any],
-    joints: NDArray[Any],
-    spheres: NDArray[Any],
-    resolution: Scalar,
-    speed_scale: Scalar,
-    clearance: Scalar,
-    lattice: NDArray[Any],
-    nx: int,
-    ny: int,
-    nz: int,
-    out: NDArray[Any],
-    nearest: NDArray[Any],
-) -> None:
-    """Write potential x speed summed over spheres, and the nearest distance cut off at the clearance.
+def obstacle_sums(q: Array, n_waypoints: int, obstacles: Obstacles, out: Array, nearest: Array) -> None:
+    """Write potential x speed summed over spheres (M,), and the nearest distance cut off at the clearance (M,).
 
-    q (M, J) holds whole rollouts of `n_waypoints` one after the other; out and nearest are (M,); root, joints
-    and spheres as in `FlatChain`. A block yields 62 results: its first and last configurations are only
-    neighbours to take differences with.
+    q (M, J) holds whole rollouts of `n_waypoints` one after the other. A block yields 62 results: its first and last
+    configurations are only neighbours to take differences with.
     """
+    root, joints, spheres = obstacles.arm
+    lattice, (nx, ny, nz) = obstacles.lattice, obstacles.shape
+    resolution, clearance = obstacles.resolution, obstacles.clearance
     w = np.zeros(ROWS * BLOCK, dtype=np.float32)
     cell = np.zeros(BLOCK, dtype=np.uint32)
     frames = spread(root)
-    to_metres = speed_scale * resolution
+    to_metres = obstacles.speed_scale * resolution
     # The nearest node is off by up to 0.87 cells, the interpolation by as much: beyond this nothing is near.
     slack = clearance + np.float32(1.75) * resolution
     for first in range(0, len(q), BLOCK - 2):

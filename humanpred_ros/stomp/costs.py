@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,8 +25,8 @@ from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.geometry.joints import flatten
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.settings import Settings
-from humanpred_ros.stomp import cost_kernels
 from humanpred_ros.stomp.config import StompConfig
+from humanpred_ros.stomp.cost_kernels import Obstacles, Occupied, obstacle_sums, occupancy_sums
 from humanpred_ros.stomp.smoothness import acceleration_costs
 
 Float32Array = NDArray[np.float32]
@@ -155,14 +155,16 @@ class HumanOccupancyCost(CostTerm):
         super().__init__("human", weight, chain.n_joints)
         self.occupancy = occupancy
         self.points = points
-        self._factor = np.float32(POINTS_OF_P1 / max(len(points), 1))
         lattice, first = _cropped(occupancy.probability)
-        self._shape = lattice.shape
-        self._lattice = lattice.ravel()
         grid = occupancy.grid
         origin = np.asarray(grid.origin_m) + (np.asarray(first) - 1.0) * grid.resolution_m  # -1: the border
-        self._arm = flatten(chain, points.link, points.local_m, np.zeros(len(points)), origin, grid.resolution_m)
-        self._cells_per_m = np.float32(1.0 / grid.resolution_m)
+        arm = flatten(chain, points.link, points.local_m, np.zeros(len(points)), origin, grid.resolution_m)
+        factor = POINTS_OF_P1 / max(len(points), 1)
+        #: What the compiled loop wants of this term.
+        self.table = Occupied(
+            arm, lattice.ravel(), lattice.shape, np.float32(1.0 / grid.resolution_m), np.float32(factor),
+            np.float32(self.weight),
+        )  # fmt: skip
 
     @classmethod
     def build(cls, request: CostTermRequest) -> HumanOccupancyCost:
@@ -170,23 +172,11 @@ class HumanOccupancyCost(CostTerm):
             raise PlanningError("human cost: wanted an occupancy, got none")
         return cls(request.chain, request.points, request.occupancy, request.stomp.human_weight)
 
-    def for_kernel(self) -> tuple[Any, ...]:
-        """Return what the compiled loop of `arm_loop` wants of this term."""
-        arm = self._arm
-        weight = np.float32(self.weight)
-        return (
-            arm.root, arm.joints, arm.points, self._cells_per_m, self._lattice, *self._shape, self._factor, weight,
-        )  # fmt: skip
-
     def evaluate(self, q: Float32Array) -> tuple[Float32Array, BoolArray | None]:
         """Return the costs (R, N), in body points; see `CostTerm.evaluate`."""
-        arm, (nx, ny, nz) = self._arm, self._shape
         out = np.empty(q.shape[0] * q.shape[1], dtype=np.float32)
-        cost_kernels.occupancy_sums(
-            q.reshape(out.size, -1), arm.root, arm.joints, arm.points, self._cells_per_m, self._lattice,
-            nx, ny, nz, out,
-        )  # fmt: skip
-        out *= self._factor
+        occupancy_sums(q.reshape(out.size, -1), self.table, out)
+        out *= self.table.factor
         return out.reshape(q.shape[:2]), None
 
 
@@ -218,23 +208,20 @@ class ObstacleCost(CostTerm):
             )
         self.spheres, self.field = spheres, field
         self.clearance_m, self.margin_m, self.duration_s = clearance_m, margin_m, duration_s
-        self._shape = field.values.shape
-        self._lattice = field.values.ravel()
-        self._arm = flatten(chain, spheres.link, spheres.centre_m, spheres.radius_m, field.origin_m, field.resolution_m)
+        arm = flatten(chain, spheres.link, spheres.centre_m, spheres.radius_m, field.origin_m, field.resolution_m)
+        self._table = Obstacles(
+            arm, field.values.ravel(), field.values.shape, np.float32(field.resolution_m), np.float32(0.0),
+            np.float32(clearance_m), np.float32(margin_m), np.float32(self.weight),
+        )  # fmt: skip
 
     @classmethod
     def build(cls, request: CostTermRequest) -> ObstacleCost:
         weight, padding_m = request.stomp.obstacle_weight, request.padding_m
         return cls(request.chain, request.spheres, request.field, weight, margin_m=padding_m)
 
-    def for_kernel(self, n_waypoints: int) -> tuple[Any, ...]:
-        """Return what the compiled loop of `arm_loop` wants of this term for trajectories of `n_waypoints`."""
-        arm, float32 = self._arm, np.float32
-        return (
-            arm.root, arm.joints, arm.points, float32(self.field.resolution_m),
-            float32((n_waypoints - 1) / self.duration_s), float32(self.clearance_m), self._lattice, *self._shape,
-            float32(self.margin_m), float32(self.weight),
-        )  # fmt: skip
+    def table(self, n_waypoints: int) -> Obstacles:
+        """Return what the compiled loop wants of this term for trajectories of `n_waypoints`."""
+        return self._table._replace(speed_scale=np.float32((n_waypoints - 1) / self.duration_s))
 
     def evaluate(self, q: Float32Array) -> tuple[Float32Array, BoolArray | None]:
         """Return the costs (R, N), m²/s, and whether the margin is kept; see `CostTerm.evaluate`."""
@@ -247,13 +234,8 @@ class ObstacleCost(CostTerm):
 
     def _run(self, q: Float32Array) -> tuple[Float32Array, Float32Array]:
         n_rollouts, n = q.shape[:2]
-        arm, (nx, ny, nz) = self._arm, self._shape
         out, nearest = np.empty((2, n_rollouts * n), dtype=np.float32)
-        cost_kernels.obstacle_sums(
-            q.reshape(out.size, -1), n, arm.root, arm.joints, arm.points,
-            np.float32(self.field.resolution_m), np.float32((n - 1) / self.duration_s),
-            np.float32(self.clearance_m), self._lattice, nx, ny, nz, out, nearest,
-        )  # fmt: skip
+        obstacle_sums(q.reshape(out.size, -1), n, self.table(n), out, nearest)
         return out.reshape(n_rollouts, n), nearest.reshape(n_rollouts, n)
 
 

@@ -1,21 +1,19 @@
-"""One STOMP iteration but for the evaluation of costs, compiled: `begin_update` before it, `finish_update` after it.
+"""One iteration of STOMP, compiled: `begin_update` before costs are evaluated, `finish_update` after (P1, 1.6 to 1.8).
 
-Lanes (columns of a right-hand side, or waypoint and joint pairs) are contiguous in memory and innermost, so that every
-loop over lanes packs into vector instructions. The trajectory itself stays float64; rollouts are float32.
-
-R = L Lᵀ is banded: `factor[k, i] = L[i + k, i]` holds four bands below the diagonal and reaches past the end
-as zeros. What needs R⁻¹ is an O(n) sweep, never a dense inverse.
+For an arm among obstacles and people, `iterate` does several iterations in one call with their costs: Python between
+the iterations would hold the threads of other goals up. The trajectory itself stays float64; rollouts are float32.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from humanpred_ros.geometry.compiled import fast, fast_inline, fast_part
+from humanpred_ros.geometry.compiled import Array, fast, fast_inline, fast_part
+from humanpred_ros.stomp.cost_kernels import Obstacles, Occupied, obstacle_sums, occupancy_sums
+from humanpred_ros.stomp.smoothness import acceleration_costs, colour, keep_within_limits, solve
 
 #: Normal quantiles at the middle of 65536 equal probabilities: 16 random bits make one draw. The largest is
 #: 4.2 standard deviations, and their variance is 1 to within 1e-4.
@@ -26,60 +24,65 @@ QUANTILES = ndtri((np.arange(65536) + 0.5) / 65536.0).astype(np.float32)
 DONE, USED, REUSED, FORBIDDEN, STALE, N_COUNTERS = 0, 1, 2, 3, 4, 5
 #: Entries of the totals: of the best trajectory, and what it must fall below to count as noticeably cheaper.
 BEST, REFERENCE, N_TOTALS = 0, 1, 2
-#: Violations below this are rounding, rad.
-_LIMIT_TOLERANCE = 1e-6
-_LIMIT_ITERATIONS = 10
 
 
-@fast
-def colour(factor: NDArray[Any], x: NDArray[Any]) -> None:
-    """Solve Lᵀ x = z in place, z (n, L): white noise becomes N(0, R⁻¹)."""
-    n, lanes = x.shape
-    for i in range(n - 1, -1, -1):
-        for k in range(1, min(5, n - i)):
-            below = factor[k, i]
-            for lane in range(lanes):
-                x[i, lane] -= below * x[i + k, lane]
-        scale = 1.0 / factor[0, i]
-        for lane in range(lanes):
-            x[i, lane] *= scale
+class Rules(NamedTuple):
+    """What stays the same in all iterations of a plan.
+
+    Attributes:
+        quantiles: `QUANTILES`.
+        std: (D,) standard deviations of the noise, float32.
+        decay: factor on them per iteration.
+        factor, factor32, column_scale: see `Smoothness`; the second is the first in float32.
+        lower, upper: (D,) limits.
+        sharpness, n_reused, tolerance, patience: as in `StompConfig`.
+    """
+
+    quantiles: Array
+    std: Array
+    decay: float
+    factor: Array
+    factor32: Array
+    column_scale: Array
+    lower: Array
+    upper: Array
+    sharpness: float
+    n_reused: int
+    tolerance: float
+    patience: int
 
 
-@fast
-def solve(factor: NDArray[Any], x: NDArray[Any]) -> None:
-    """Solve R x = b in place, b (n, L)."""
-    n, lanes = x.shape
-    for i in range(n):
-        for k in range(1, min(5, i + 1)):
-            left = factor[k, i - k]
-            for lane in range(lanes):
-                x[i, lane] -= left * x[i - k, lane]
-        scale = 1.0 / factor[0, i]
-        for lane in range(lanes):
-            x[i, lane] *= scale
-    colour(factor, x)
+class Work(NamedTuple):
+    """A plan in progress, changed in place.
+
+    Rollouts lie in one pool with their costs: the reused ones first, then the new ones, then the noiseless trajectory.
+
+    Attributes:
+        theta, best: (N, D) the trajectory that new rollouts are drawn around, and the best one so far.
+        counters, totals: see `DONE` and `BEST`.
+        bits: random bits of the whole plan.
+        rollouts, state, joint: (R + 1, N, D), (R + 1, N) and (R + 1, N, D): the pool, and its costs.
+    """
+
+    theta: Array
+    best: Array
+    counters: Array
+    totals: Array
+    bits: Array
+    rollouts: Array
+    state: Array
+    joint: Array
 
 
-@fast_part
-def solve_unit(factor: NDArray[Any], j: int, x: NDArray[Any]) -> None:
-    """Write column j of R⁻¹ into x (n,)."""
-    n = len(x)
-    for i in range(n):
-        x[i] = 0.0
-    x[j] = 1.0
-    for i in range(j, n):
-        value = x[i]
-        for k in range(1, min(5, i - j + 1)):
-            value -= factor[k, i - k] * x[i - k]
-        x[i] = value / factor[0, i]
-    for i in range(n - 1, -1, -1):
-        value = x[i]
-        for k in range(1, min(5, n - i)):
-            value -= factor[k, i] * x[i + k]
-        x[i] = value / factor[0, i]
+class ArmTerms(NamedTuple):
+    """The cost terms that `iterate` evaluates: these three and no others."""
+
+    obstacles: Obstacles
+    occupied: Occupied
+    smoothness_weight: np.float32
 
 
-def random_bits(rng: np.random.Generator, draws: int) -> NDArray[np.uint16]:
+def random_bits(rng: np.random.Generator, draws: int) -> Array:
     """Return 16 random bits for each of `draws` normal draws, each an index into `QUANTILES`.
 
     About ten times faster than a generator's own normal draws; 65536 levels are plenty for noise that is smoothed.
@@ -89,80 +92,82 @@ def random_bits(rng: np.random.Generator, draws: int) -> NDArray[np.uint16]:
 
 
 @fast
-def _look_up(bits: NDArray[Any], table: NDArray[Any], out: NDArray[Any]) -> None:
+def iterate(count: int, work: Work, rules: Rules, terms: ArmTerms) -> None:
+    """Do up to `count` updates, keeping the best noiseless trajectory, in place."""
+    sums = np.empty((3, len(work.rollouts) * len(work.theta)), dtype=np.float32)
+    for _ in range(count):
+        if converged(work.counters, rules.patience):
+            return
+        first = begin_update(work, rules)
+        allowed = _evaluate(work.rollouts[first:], work.state[first:], work.joint[first:], sums, terms)
+        finish_update(work, rules, allowed)
+
+
+@fast_inline
+def _evaluate(rollouts: Array, state: Array, joint: Array, sums: Array, terms: ArmTerms) -> bool:
+    """Write the weighted costs of rollouts (K, N, D); return whether the last one is allowed."""
+    k, n, n_joints = rollouts.shape
+    q = rollouts.reshape(k * n, n_joints)
+    near, close, hit = sums[0, : k * n], sums[1, : k * n], sums[2, : k * n]
+    obstacle_sums(q, n, terms.obstacles, near, close)
+    occupancy_sums(q, terms.occupied, hit)
+    flat = state.reshape(-1)
+    obstacle_weight, human_weight, factor = terms.obstacles.weight, terms.occupied.weight, terms.occupied.factor
+    for i in range(k * n):
+        flat[i] = obstacle_weight * near[i] + human_weight * (factor * hit[i])
+    acceleration_costs(rollouts, joint)
+    flat = joint.reshape(-1)
+    for i in range(k * n * n_joints):
+        flat[i] *= terms.smoothness_weight
+    allowed = True
+    for i in range((k - 1) * n, k * n):
+        allowed &= close[i] >= terms.obstacles.margin
+    return allowed
+
+
+@fast_inline
+def converged(counters: Array, patience: int) -> bool:
+    """Return whether a plan that is allowed has not become noticeably cheaper for `patience` updates."""
+    return patience > 0 and counters[STALE] >= patience and counters[FORBIDDEN] == 0
+
+
+@fast_inline
+def begin_update(work: Work, rules: Rules) -> int:
+    """Write the next update's new rollouts behind the reused ones, and theta last (P1, 1.6).
+
+    Returns:
+        Number of the first new rollout.
+    """
+    theta, counters, rollouts = work.theta, work.counters, work.rollouts
+    first, used = counters[REUSED], counters[USED]
+    scaled = rules.std * np.float32(rules.decay ** counters[DONE])
+    sample(theta, work.bits[used:], scaled, rules, rollouts[first:])
+    counters[USED] = used + (theta.shape[0] - 2) * theta.shape[1] * (len(rollouts) - 1 - first)
+    return int(first)
+
+
+@fast_inline
+def sample(theta: Array, bits: Array, std: Array, rules: Rules, out: Array) -> None:
+    """Write K noisy copies of theta (N, D) within the limits, then theta itself; out (K+1, N, D).
+
+    The noise is the `QUANTILES` at the first of `bits`.
+    """
+    n, n_joints = theta.shape
+    noise = np.empty((n - 2, (len(out) - 1) * n_joints), dtype=np.float32)
+    _look_up(bits, rules.quantiles, noise.reshape(-1))
+    colour(rules.factor32, noise)
+    _make_rollouts(theta, noise, std, rules.lower, rules.upper, rules.factor, out)
+
+
+@fast
+def _look_up(bits: Array, table: Array, out: Array) -> None:
     for i in range(len(out)):
         out[i] = table[bits[i]]
 
 
-@fast_inline
-def sample(
-    theta: NDArray[Any],
-    bits: NDArray[Any],
-    table: NDArray[Any],
-    std: NDArray[Any],
-    lower: NDArray[Any],
-    upper: NDArray[Any],
-    factor: NDArray[Any],
-    factor32: NDArray[Any],
-    out: NDArray[Any],
-) -> None:
-    """Write K noisy copies of theta (N, D) within the limits, then theta itself; out (K+1, N, D).
-
-    The noise is `table`, the `QUANTILES`, at the first of `bits`.
-    """
-    n, n_joints = theta.shape
-    noise = np.empty((n - 2, (len(out) - 1) * n_joints), dtype=np.float32)
-    _look_up(bits, table, noise.reshape(-1))
-    colour(factor32, noise)
-    make_rollouts(theta, noise, std, lower, upper, factor, out)
-
-
-@fast
-def keep_within_limits(x: NDArray[Any], lower: NDArray[Any], upper: NDArray[Any], factor: NDArray[Any]) -> int:
-    """Push the free waypoints of x (N, D) inside the limits, in place; return how many joints were clipped.
-
-    The worst waypoint of a joint is moved onto its limit together with its neighbours, along the column of
-    R⁻¹ that belongs to it, which keeps the trajectory smooth (docs/papers.md, P1 STOMP). What is still outside after
-    ten such pushes is clipped.
-    """
-    n, n_joints = x.shape
-    column = np.empty(n - 2, dtype=np.float64)
-    clipped = 0
-    for d in range(n_joints):
-        outside = False
-        for t in range(1, n - 1):
-            outside |= x[t, d] > upper[d] or x[t, d] < lower[d]
-        if not outside:
-            continue
-        for attempt in range(_LIMIT_ITERATIONS + 1):
-            worst, where = 0.0, -1
-            for t in range(1, n - 1):
-                over = max(x[t, d] - upper[d], lower[d] - x[t, d])
-                if over > worst:
-                    worst, where = over, t
-            if worst <= _LIMIT_TOLERANCE:
-                break
-            if attempt == _LIMIT_ITERATIONS:
-                clipped += 1
-                break
-            solve_unit(factor, where - 1, column)
-            push = (worst if x[where, d] < lower[d] else -worst) / column[where - 1]
-            for t in range(1, n - 1):
-                x[t, d] += push * column[t - 1]
-        for t in range(1, n - 1):
-            x[t, d] = min(max(x[t, d], lower[d]), upper[d])
-    return clipped
-
-
 @fast_part
-def make_rollouts(
-    theta: NDArray[Any],
-    noise: NDArray[Any],
-    std: NDArray[Any],
-    lower: NDArray[Any],
-    upper: NDArray[Any],
-    factor: NDArray[Any],
-    out: NDArray[Any],
+def _make_rollouts(
+    theta: Array, noise: Array, std: Array, lower: Array, upper: Array, factor: Array, out: Array
 ) -> None:
     """Write theta (N, D) plus noise (N-2, K·D) x std (D,) as K rollouts, then theta itself; out (K+1, N, D)."""
     n, n_joints = theta.shape
@@ -181,17 +186,47 @@ def make_rollouts(
 
 
 @fast_inline
-def improve(
-    theta: NDArray[Any],
-    rollouts: NDArray[Any],
-    state: NDArray[Any],
-    joint: NDArray[Any],
-    sharpness: float,
-    factor: NDArray[Any],
-    column_scale: NDArray[Any],
-    lower: NDArray[Any],
-    upper: NDArray[Any],
-) -> None:
+def finish_update(work: Work, rules: Rules, allowed: bool) -> None:
+    """Keep theta if it is the best so far, improve it, and bring the rollouts to be reused to the front (P1, 1.7, 1.8).
+
+    Args:
+        allowed: whether theta is allowed.
+    """
+    counters, n_reused = work.counters, rules.n_reused
+    n_rollouts, (n, n_joints) = len(work.rollouts) - 1, work.theta.shape
+    total = 0.0
+    for t in range(n):
+        total += work.state[n_rollouts, t]
+        for d in range(n_joints):
+            total += work.joint[n_rollouts, t, d]
+    _keep(work, allowed, total, rules.tolerance)
+    new, new_state, new_joint = work.rollouts[:n_rollouts], work.state[:n_rollouts], work.joint[:n_rollouts]
+    improve(work.theta, new, new_state, new_joint, rules)
+    if n_reused > 0:
+        keep_best(new, new_state, new_joint, n_reused, np.empty(n_reused, dtype=np.int64))
+    counters[REUSED] = n_reused
+    counters[DONE] += 1
+
+
+@fast_inline
+def _keep(work: Work, allowed: bool, total: float, tolerance: float) -> None:
+    """Keep theta if it ranks before the best so far: allowed before forbidden, then by cost."""
+    counters, totals = work.counters, work.totals
+    forbidden = 0 if allowed else 1
+    counters[STALE] += 1
+    if forbidden < counters[FORBIDDEN] or (forbidden == counters[FORBIDDEN] and total < totals[BEST]):
+        if forbidden < counters[FORBIDDEN] or total < totals[REFERENCE]:
+            counters[STALE] = 0
+            totals[REFERENCE] = (1.0 - tolerance) * total
+        for t in range(work.theta.shape[0]):
+            for d in range(work.theta.shape[1]):
+                work.best[t, d] = work.theta[t, d]
+        counters[FORBIDDEN] = forbidden
+        totals[BEST] = total
+
+
+@fast_inline
+def improve(theta: Array, rollouts: Array, state: Array, joint: Array, rules: Rules) -> None:
     """Move theta (N, D) towards the cheaper of the rollouts (R, N, D), in place.
 
     With S = state (R, N) + joint (R, N, D) costs, each rollout has at each waypoint and joint the probability
@@ -217,7 +252,7 @@ def improve(
     for t in range(n):
         for d in range(n_joints):
             flat_theta[t * n_joints + d] = theta[t, d]
-    h = np.float32(sharpness)
+    h = np.float32(rules.sharpness)
     for k in range(lanes):
         # Equal costs say nothing: the probabilities are then all the same.
         high[k] = -h / max(high[k] - low[k], np.float32(1e-12))
@@ -231,16 +266,16 @@ def improve(
     for t in range(n - 2):
         for d in range(n_joints):
             k = (t + 1) * n_joints + d
-            change[t, d] = column_scale[t] * moved[k] / total[k]
-    solve(factor, change)
+            change[t, d] = rules.column_scale[t] * moved[k] / total[k]
+    solve(rules.factor, change)
     for t in range(n - 2):
         for d in range(n_joints):
             theta[t + 1, d] += change[t, d]
-    keep_within_limits(theta, lower, upper, factor)
+    keep_within_limits(theta, rules.lower, rules.upper, rules.factor)
 
 
 @fast_part
-def _exp(x: Any) -> Any:
+def _exp(x: np.float32) -> np.float32:
     """e^x in float32 for -100 <= x <= 0: a polynomial of x/256, squared eight times; relative error 3e-5."""
     y = x * np.float32(1.0 / 256.0)
     p = np.float32(1.0) + y * (
@@ -252,9 +287,7 @@ def _exp(x: Any) -> Any:
 
 
 @fast_part
-def keep_best(
-    rollouts: NDArray[Any], state: NDArray[Any], joint: NDArray[Any], n_best: int, copies: NDArray[Any]
-) -> None:
+def keep_best(rollouts: Array, state: Array, joint: Array, n_best: int, copies: Array) -> None:
     """Move the `n_best` cheapest of the rollouts to the front, with their costs.
 
     `copies` is an index array (n_best,) to work in. Of equals the earlier rollout is kept.
@@ -291,109 +324,3 @@ def keep_best(
                 for d in range(n_joints):
                     rollouts[b, t, d] = rollouts[r, t, d]
                     joint[b, t, d] = joint[r, t, d]
-
-
-@fast_inline
-def converged(counters: NDArray[Any], patience: int) -> bool:
-    """Return whether a plan that is allowed has not become noticeably cheaper for `patience` updates."""
-    return patience > 0 and counters[STALE] >= patience and counters[FORBIDDEN] == 0
-
-
-@fast_inline
-def begin_update(
-    theta: NDArray[Any],
-    counters: NDArray[Any],
-    bits: NDArray[Any],
-    noise: Any,
-    smooth: Any,
-    lower: NDArray[Any],
-    upper: NDArray[Any],
-    rollouts: NDArray[Any],
-) -> int:
-    """Write the next update's new rollouts behind the reused ones, and theta last (P1, 1.6).
-
-    Args:
-        theta: (N, D) the trajectory.
-        counters: of the plan; see `DONE`.
-        bits: of the whole plan.
-        noise: `QUANTILES`, standard deviations (D,), decay.
-        smooth: factor, the same in float32, column scale; see `Smoothness`.
-        lower, upper: (D,) limits.
-        rollouts: (R + 1, N, D), the reused ones first.
-
-    Returns:
-        Number of the first new rollout.
-    """
-    table, std, decay = noise
-    factor, factor32, _ = smooth
-    first, used = counters[REUSED], counters[USED]
-    scaled = std * np.float32(decay ** counters[DONE])
-    sample(theta, bits[used:], table, scaled, lower, upper, factor, factor32, rollouts[first:])
-    counters[USED] = used + (theta.shape[0] - 2) * theta.shape[1] * (len(rollouts) - 1 - first)
-    return int(first)
-
-
-@fast_inline
-def finish_update(
-    theta: NDArray[Any],
-    best: NDArray[Any],
-    allowed: bool,
-    counters: NDArray[Any],
-    totals: NDArray[Any],
-    rollouts: NDArray[Any],
-    state: NDArray[Any],
-    joint: NDArray[Any],
-    settings: Any,
-    smooth: Any,
-    lower: NDArray[Any],
-    upper: NDArray[Any],
-) -> None:
-    """Keep theta if it is the best so far, improve it, and bring the rollouts to be reused to the front (P1, 1.7, 1.8).
-
-    Args:
-        theta, best: (N, D) the trajectory that all rollouts but the reused ones were drawn around, and the best one.
-        allowed: whether theta is allowed.
-        counters, totals: of the plan; see `DONE` and `BEST`.
-        rollouts, state, joint: (R + 1, N, D), (R + 1, N) and (R + 1, N, D): rollouts and costs, theta's last.
-        settings: sharpness, rollouts to reuse, tolerance.
-        smooth, lower, upper: as in `begin_update`.
-    """
-    sharpness, n_reused, tolerance = settings
-    factor, _, column_scale = smooth
-    n_rollouts, (n, n_joints) = len(rollouts) - 1, theta.shape
-    total = 0.0
-    for t in range(n):
-        total += state[n_rollouts, t]
-        for d in range(n_joints):
-            total += joint[n_rollouts, t, d]
-    _keep(theta, best, allowed, total, tolerance, counters, totals)
-    new, new_state, new_joint = rollouts[:n_rollouts], state[:n_rollouts], joint[:n_rollouts]
-    improve(theta, new, new_state, new_joint, sharpness, factor, column_scale, lower, upper)
-    if n_reused > 0:
-        keep_best(new, new_state, new_joint, n_reused, np.empty(n_reused, dtype=np.int64))
-    counters[REUSED] = n_reused
-    counters[DONE] += 1
-
-
-@fast_inline
-def _keep(
-    theta: NDArray[Any],
-    best: NDArray[Any],
-    allowed: bool,
-    total: float,
-    tolerance: float,
-    counters: NDArray[Any],
-    totals: NDArray[Any],
-) -> None:
-    """Keep theta if it ranks before the best so far: allowed before forbidden, then by cost."""
-    forbidden = 0 if allowed else 1
-    counters[STALE] += 1
-    if forbidden < counters[FORBIDDEN] or (forbidden == counters[FORBIDDEN] and total < totals[BEST]):
-        if forbidden < counters[FORBIDDEN] or total < totals[REFERENCE]:
-            counters[STALE] = 0
-            totals[REFERENCE] = (1.0 - tolerance) * total
-        for t in range(theta.shape[0]):
-            for d in range(theta.shape[1]):
-                best[t, d] = theta[t, d]
-        counters[FORBIDDEN] = forbidden
-        totals[BEST] = total

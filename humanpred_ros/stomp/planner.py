@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,10 +24,16 @@ from numpy.typing import ArrayLike
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.stomp import iteration_kernels as kernels
-from humanpred_ros.stomp.arm_loop import arm_terms, iterate
 from humanpred_ros.stomp.config import StompConfig
-from humanpred_ros.stomp.costs import CostTerm, Float32Array, evaluated
-from humanpred_ros.stomp.smoothness import smoothness
+from humanpred_ros.stomp.costs import (
+    CostTerm,
+    Float32Array,
+    HumanOccupancyCost,
+    ObstacleCost,
+    SmoothnessCost,
+    evaluated,
+)
+from humanpred_ros.stomp.smoothness import keep_within_limits, smoothness
 
 #: Limits may be exceeded by rounding only, rad.
 _LIMIT_TOLERANCE = 1e-6
@@ -34,6 +41,8 @@ _LIMIT_TOLERANCE = 1e-6
 _PORTION_S = 0.001
 #: Updates of a turn of `advance_all`: some two milliseconds of P1's problem.
 TURN = 5
+#: The terms whose iterations run compiled: these three and no others.
+COMPILED_TERMS = {ObstacleCost, HumanOccupancyCost, SmoothnessCost}
 
 
 @dataclass(frozen=True)
@@ -62,7 +71,8 @@ class StompPlanner:
 
     Attributes:
         terms, lower, upper, config: as given; limits (D,).
-        compiled: whether whole iterations run compiled: for an obstacle, a human and a smoothness term.
+        compiled_terms: what whole iterations run compiled with, an obstacle, a human and a smoothness term; None for
+            other terms, which are evaluated one by one.
     """
 
     def __init__(
@@ -86,11 +96,7 @@ class StompPlanner:
             raise PlanningError(f"STOMP: wanted limits lower < upper of one length, got {lower!r} and {upper!r}")
         self.noise_std = self.checked_noise(self.config.noise_std)
         self.smoothness = smoothness(self.config.waypoints)
-        self._arm_terms = arm_terms(self.terms, self.config.waypoints)
-
-    @property
-    def compiled(self) -> bool:
-        return self._arm_terms is not None
+        self.compiled_terms = _compiled_terms(self.terms, self.config.waypoints)
 
     def checked_noise(self, noise_std: ArrayLike) -> Float32Array:
         """Return standard deviations (D,) of the noise, in units of R^-1/2.
@@ -157,44 +163,45 @@ class StompPlanner:
 
 
 class StompRun:
-    """One plan being made, in as many portions as one likes: they do not change what comes out.
-
-    Rollouts lie in one pool with their costs: the reused ones first, then the new ones, then the noiseless
-    trajectory itself.
-    """
+    """One plan being made, in as many portions as one likes: they do not change what comes out."""
 
     def __init__(
         self, planner: StompPlanner, initial: ArrayLike, rng: np.random.Generator, noise_std: Float32Array
     ) -> None:
         cfg, smooth, n_joints = planner.config, planner.smoothness, len(planner.lower)
         self._planner = planner
-        self._theta = np.array(checked("initial trajectory", initial, (cfg.waypoints, n_joints), error=PlanningError))
-        kernels.keep_within_limits(self._theta, planner.lower, planner.upper, smooth.factor)
-        self._best = self._theta.copy()
-        shape = (cfg.rollouts + 1, cfg.waypoints, n_joints)
-        self._rollouts, self._joint = np.empty(shape, np.float32), np.empty(shape, np.float32)
-        self._state = np.empty(shape[:2], np.float32)
+        theta = np.array(checked("initial trajectory", initial, (cfg.waypoints, n_joints), error=PlanningError))
+        keep_within_limits(theta, planner.lower, planner.upper, smooth.factor)
+        pool = (cfg.rollouts + 1, cfg.waypoints, n_joints)
         # All the randomness of a plan is drawn at once: many small draws cost more than the noise itself.
-        new = cfg.rollouts - cfg.reused
-        lanes = smooth.n_free * n_joints
-        self._bits = kernels.random_bits(rng, lanes * (cfg.reused + new * cfg.iterations))
-        self._counters = np.zeros(kernels.N_COUNTERS, dtype=np.int64)
-        self._counters[kernels.FORBIDDEN] = 1
-        self._totals = np.full(kernels.N_TOTALS, np.inf)
-        self._noise = (kernels.QUANTILES, noise_std, cfg.noise_decay)
-        self._smooth = (smooth.factor, smooth.factor.astype(np.float32), smooth.column_scale)
-        self._settings = (cfg.sharpness, cfg.reused, cfg.tolerance)
+        draws = cfg.reused + (cfg.rollouts - cfg.reused) * cfg.iterations
+        self._work = kernels.Work(
+            theta,
+            best=theta.copy(),
+            counters=np.zeros(kernels.N_COUNTERS, dtype=np.int64),
+            totals=np.full(kernels.N_TOTALS, np.inf),
+            bits=kernels.random_bits(rng, (cfg.waypoints - 2) * n_joints * draws),
+            rollouts=np.empty(pool, np.float32),
+            state=np.empty(pool[:2], np.float32),
+            joint=np.empty(pool, np.float32),
+        )
+        self._work.counters[kernels.FORBIDDEN] = 1
+        self._rules = kernels.Rules(
+            kernels.QUANTILES, noise_std, cfg.noise_decay,
+            smooth.factor, smooth.factor.astype(np.float32), smooth.column_scale, planner.lower, planner.upper,
+            cfg.sharpness, cfg.reused, cfg.tolerance, cfg.patience,
+        )  # fmt: skip
         self._portion = 1
 
     @property
     def iterations(self) -> int:
         """Updates done."""
-        return int(self._counters[kernels.DONE])
+        return int(self._work.counters[kernels.DONE])
 
     @property
     def rollouts(self) -> Float32Array:
         """The noisy trajectories (R, N, D) of the last update; none before the first."""
-        return self._rollouts[:-1].copy() if self.iterations else self._rollouts[:0].copy()
+        return self._work.rollouts[: -1 if self.iterations else 0].copy()
 
     @property
     def limit(self) -> int:
@@ -204,46 +211,35 @@ class StompRun:
     @property
     def finished(self) -> bool:
         """Whether all updates are done, or the plan has converged."""
-        return self.iterations >= self.limit or bool(kernels.converged(self._counters, self._planner.config.patience))
+        return self.iterations >= self.limit or bool(kernels.converged(self._work.counters, self._rules.patience))
 
     def advance(self, iterations: int, deadline: Callable[[], bool] | None = None) -> None:
         """Do up to `iterations` more updates, fewer if the plan is finished or the deadline says True."""
         until = min(self.iterations + iterations, self.limit)
-        step = self._compiled if self._planner.compiled else self._term_by_term
         while not self.finished and self.iterations < until and not (deadline is not None and deadline()):
             began, before = time.perf_counter(), self.iterations
-            step(until - self.iterations if deadline is None else min(self._portion, until - self.iterations))
+            count = until - self.iterations if deadline is None else min(self._portion, until - self.iterations)
+            if self._planner.compiled_terms is not None:
+                kernels.iterate(count, self._work, self._rules, self._planner.compiled_terms)
+            else:
+                self._term_by_term(count)
             each_s = (time.perf_counter() - began) / max(self.iterations - before, 1)
             self._portion = max(1, int(_PORTION_S / max(each_s, 1e-6)))
 
     def result(self) -> Plan:
         """Return the best trajectory so far: allowed before forbidden, then by total cost."""
-        best, last = (self._planner.assess(path, self.iterations) for path in (self._best, self._theta))
+        best, last = (self._planner.assess(path, self.iterations) for path in (self._work.best, self._work.theta))
         return min(best, last, key=lambda plan: (not plan.valid, plan.total))
 
-    def _compiled(self, count: int) -> None:
-        """Do up to `count` updates in one compiled call."""
-        planner = self._planner
-        iterate(
-            count, self._theta, self._best, self._counters, self._totals,
-            self._rollouts, self._state, self._joint, self._bits, self._noise, self._smooth,
-            planner.lower, planner.upper, self._settings, planner.config.patience, planner._arm_terms,
-        )  # fmt: skip
-
     def _term_by_term(self, count: int) -> None:
-        """Do the same with terms of any kind."""
-        lower, upper = self._planner.lower, self._planner.upper
+        """Do up to `count` updates with terms of any kind."""
+        work = self._work
         for _ in range(count):
             if self.finished:
                 return
-            first = kernels.begin_update(
-                self._theta, self._counters, self._bits, self._noise, self._smooth, lower, upper, self._rollouts
-            )
-            allowed = self._evaluate(self._rollouts[first:], self._state[first:], self._joint[first:])
-            kernels.finish_update(
-                self._theta, self._best, allowed, self._counters, self._totals,
-                self._rollouts, self._state, self._joint, self._settings, self._smooth, lower, upper,
-            )  # fmt: skip
+            first = kernels.begin_update(work, self._rules)
+            allowed = self._evaluate(work.rollouts[first:], work.state[first:], work.joint[first:])
+            kernels.finish_update(work, self._rules, allowed)
 
     def _evaluate(self, batch: Float32Array, state: Float32Array, joint: Float32Array) -> bool:
         """Write the costs of rollouts (K, N, D); return whether the noiseless one, the last, is allowed."""
@@ -259,6 +255,15 @@ class StompRun:
                 state += weighted
             allowed_by_all = allowed_by_all and (allowed is None or bool(allowed[-1].all()))
         return allowed_by_all
+
+
+def _compiled_terms(terms: Sequence[CostTerm], n_waypoints: int) -> kernels.ArmTerms | None:
+    """Return what the compiled loop wants of its three terms, in any order; None for other terms."""
+    found: dict[type, Any] = {type(term): term for term in terms}
+    if len(terms) != len(found) or found.keys() != COMPILED_TERMS:
+        return None
+    obstacles = found[ObstacleCost].table(n_waypoints)
+    return kernels.ArmTerms(obstacles, found[HumanOccupancyCost].table, np.float32(found[SmoothnessCost].weight))
 
 
 def advance_all(

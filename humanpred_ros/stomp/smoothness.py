@@ -1,15 +1,17 @@
 """Smoothness of trajectories: the finite differences A, R = AᵀA, what follows from R, and the acceleration cost.
 
 Notation (docs/papers.md, P1 STOMP): A q are accelerations, noise is drawn from N(0, R⁻¹), M is R⁻¹ with every
-column scaled to a largest element of 1/n. R is banded, so N(0, R⁻¹) and M are applied by O(n) sweeps over
-its Cholesky factor; a dense R⁻¹ exists only in tests.
+column scaled to a largest element of 1/n. R = L Lᵀ is banded, so N(0, R⁻¹) and M are applied by O(n) sweeps over L;
+a dense R⁻¹ exists only in tests.
+
+In compiled functions lanes (columns of a right-hand side, or waypoint and joint pairs) are contiguous in memory and
+innermost, so that every loop over lanes packs into vector instructions.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +19,7 @@ from scipy.linalg import cholesky_banded
 
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.checks import FloatArray, frozen
-from humanpred_ros.geometry.compiled import fast, fast_part
-from humanpred_ros.stomp import iteration_kernels
+from humanpred_ros.geometry.compiled import Array, fast, fast_part
 
 Float32Array = NDArray[np.float32]
 
@@ -29,6 +30,8 @@ PADDING = 1
 BANDWIDTH = 4
 _A, _B, _C = (np.float32(c) for c in ACCELERATION_RULE[:3])
 _HALF = np.float32(0.5)
+#: Violations of limits below this are rounding, rad; and how often a joint is pushed back within them.
+_LIMIT_TOLERANCE, _LIMIT_ITERATIONS = 1e-6, 10
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ class Smoothness:
 
     Attributes:
         n_waypoints: N, with start and goal.
-        factor: (5, N-2) lower Cholesky factor of R in bands: `factor[k, i] = L[i + k, i]`.
+        factor: (5, N-2) lower Cholesky factor of R in bands: `factor[k, i] = L[i + k, i]`, zeros past the end.
         column_scale: (N-2,) what scales column i of R⁻¹ to a largest element of 1/(N-2).
     """
 
@@ -84,13 +87,98 @@ def smoothness(n_waypoints: int) -> Smoothness:
         bands[k, : n - k] = np.diagonal(R, -k)
     factor = frozen(np.ascontiguousarray(cholesky_banded(bands, lower=True)))
     inverse = np.eye(n)
-    iteration_kernels.solve(factor, inverse)
+    solve(factor, inverse)
     scale = 1.0 / (n * np.abs(inverse).max(axis=0))
     return Smoothness(n_waypoints, factor, frozen(scale))  # type: ignore[arg-type]
 
 
+@fast
+def colour(factor: Array, x: Array) -> None:
+    """Solve Lᵀ x = z in place, z (n, L): white noise becomes N(0, R⁻¹)."""
+    n, lanes = x.shape
+    for i in range(n - 1, -1, -1):
+        for k in range(1, min(5, n - i)):
+            below = factor[k, i]
+            for lane in range(lanes):
+                x[i, lane] -= below * x[i + k, lane]
+        scale = 1.0 / factor[0, i]
+        for lane in range(lanes):
+            x[i, lane] *= scale
+
+
+@fast
+def solve(factor: Array, x: Array) -> None:
+    """Solve R x = b in place, b (n, L)."""
+    n, lanes = x.shape
+    for i in range(n):
+        for k in range(1, min(5, i + 1)):
+            left = factor[k, i - k]
+            for lane in range(lanes):
+                x[i, lane] -= left * x[i - k, lane]
+        scale = 1.0 / factor[0, i]
+        for lane in range(lanes):
+            x[i, lane] *= scale
+    colour(factor, x)
+
+
 @fast_part
-def _half_squared_accelerations(flat: NDArray[Any], n_joints: int, out: NDArray[Any]) -> None:
+def solve_unit(factor: Array, j: int, x: Array) -> None:
+    """Write column j of R⁻¹ into x (n,)."""
+    n = len(x)
+    for i in range(n):
+        x[i] = 0.0
+    x[j] = 1.0
+    for i in range(j, n):
+        value = x[i]
+        for k in range(1, min(5, i - j + 1)):
+            value -= factor[k, i - k] * x[i - k]
+        x[i] = value / factor[0, i]
+    for i in range(n - 1, -1, -1):
+        value = x[i]
+        for k in range(1, min(5, n - i)):
+            value -= factor[k, i] * x[i + k]
+        x[i] = value / factor[0, i]
+
+
+@fast
+def keep_within_limits(x: Array, lower: Array, upper: Array, factor: Array) -> int:
+    """Push the free waypoints of x (N, D) inside the limits, in place; return how many joints were clipped.
+
+    The worst waypoint of a joint is moved onto its limit together with its neighbours, along the column of
+    R⁻¹ that belongs to it, which keeps the trajectory smooth (docs/papers.md, P1 STOMP). What is still outside after
+    ten such pushes is clipped.
+    """
+    n, n_joints = x.shape
+    column = np.empty(n - 2, dtype=np.float64)
+    clipped = 0
+    for d in range(n_joints):
+        outside = False
+        for t in range(1, n - 1):
+            outside |= x[t, d] > upper[d] or x[t, d] < lower[d]
+        if not outside:
+            continue
+        for attempt in range(_LIMIT_ITERATIONS + 1):
+            worst, where = 0.0, -1
+            for t in range(1, n - 1):
+                over = max(x[t, d] - upper[d], lower[d] - x[t, d])
+                if over > worst:
+                    worst, where = over, t
+            if worst <= _LIMIT_TOLERANCE:
+                break
+            if attempt == _LIMIT_ITERATIONS:
+                clipped += 1
+                break
+            solve_unit(factor, where - 1, column)
+            push = (worst if x[where, d] < lower[d] else -worst) / column[where - 1]
+            for t in range(1, n - 1):
+                x[t, d] += push * column[t - 1]
+        for t in range(1, n - 1):
+            x[t, d] = min(max(x[t, d], lower[d]), upper[d])
+    return clipped
+
+
+@fast_part
+def _half_squared_accelerations(flat: Array, n_joints: int, out: Array) -> None:
     """Write the costs of all waypoints but the two at each end, (waypoint, joint) pairs in one row."""
     lanes = len(flat) - 4 * n_joints
     p, q, r = flat[:lanes], flat[n_joints : n_joints + lanes], flat[2 * n_joints : 2 * n_joints + lanes]
@@ -102,7 +190,7 @@ def _half_squared_accelerations(flat: NDArray[Any], n_joints: int, out: NDArray[
 
 
 @fast
-def acceleration_costs(q: NDArray[Any], out: NDArray[Any]) -> None:
+def acceleration_costs(q: Array, out: Array) -> None:
     """Write half the squared acceleration per joint; q, out (R, N, D), rad per squared step.
 
     The accelerations just before the start and just after the goal, where copies of the ends continue the

@@ -73,7 +73,7 @@ def test_the_built_in_terms_are_entry_points_too() -> None:
 
 def test_the_default_terms_run_compiled_in_any_order(caplog: pytest.LogCaptureFixture) -> None:
     for order in (DEFAULT, DEFAULT[::-1]):
-        assert replanner(*order).problem.planner(nobody())[0].compiled
+        assert replanner(*order).problem.planner(nobody())[0].compiled_terms is not None
     assert not caplog.records
 
 

@@ -8,9 +8,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from humanpred_ros.stomp import iteration_kernels
-from humanpred_ros.stomp.smoothness import accelerations_matrix, smoothness
+from humanpred_ros.stomp.smoothness import accelerations_matrix, keep_within_limits, smoothness
 
 SEEDS = st.integers(0, 2**32 - 1)
+
+
+def rules(n: int, limit: np.ndarray) -> iteration_kernels.Rules:
+    """P1's sharpness for trajectories of n waypoints, between -limit and limit (D,)."""
+    smooth = smoothness(n)
+    factor32 = smooth.factor.astype(np.float32)
+    return iteration_kernels.Rules(
+        iteration_kernels.QUANTILES, np.ones(len(limit), np.float32), 1.0, smooth.factor, factor32,
+        smooth.column_scale, -limit, limit, sharpness=10.0, n_reused=0, tolerance=0.01, patience=0,
+    )  # fmt: skip
 
 
 def test_noise_is_standard_normal_and_repeatable() -> None:
@@ -33,7 +43,6 @@ def test_an_update_is_the_published_weighted_mean(seed: int, n_rollouts: int, n:
     rollouts[:, [0, -1]] = theta[[0, -1]]
     state = rng.uniform(0.0, 5.0, (n_rollouts, n)).astype(np.float32)
     joint = rng.uniform(0.0, 5.0, (n_rollouts, n, n_joints)).astype(np.float32)
-    wide, smooth = np.full(n_joints, 1e9), smoothness(n)
 
     S = state[:, :, None].astype(np.float64) + joint
     low, high = S.min(axis=0), S.max(axis=0)
@@ -45,18 +54,15 @@ def test_an_update_is_the_published_weighted_mean(seed: int, n_rollouts: int, n:
     expected = theta.copy()
     expected[1:-1] += inverse / np.abs(inverse).max(axis=0) / (n - 2) @ change
 
-    iteration_kernels.improve(theta, rollouts, state, joint, 10.0, smooth.factor, smooth.column_scale, -wide, wide)
+    iteration_kernels.improve(theta, rollouts, state, joint, rules(n, np.full(n_joints, 1e9)))
     np.testing.assert_allclose(theta, expected, atol=1e-4)
 
 
 def test_equal_costs_pull_nowhere_in_particular() -> None:
     theta = np.zeros((9, 2))
     rollouts = np.stack([np.ones((9, 2)), -np.ones((9, 2))]).astype(np.float32)
-    smooth, wide = smoothness(9), np.full(2, 9.0)
     equal_state, equal_joint = np.full((2, 9), 3.0, np.float32), np.zeros((2, 9, 2), np.float32)
-    iteration_kernels.improve(
-        theta, rollouts, equal_state, equal_joint, 10.0, smooth.factor, smooth.column_scale, -wide, wide
-    )
+    iteration_kernels.improve(theta, rollouts, equal_state, equal_joint, rules(9, np.full(2, 9.0)))
     np.testing.assert_allclose(theta, 0.0, atol=1e-6)
 
 
@@ -67,7 +73,7 @@ def test_limits_are_kept_and_ends_left_alone(seed: int, n: int, reach: float) ->
     x = rng.normal(0.0, 0.1, (n, 3)).cumsum(axis=0)
     before = x.copy()
     lower, upper = np.full(3, -reach), np.full(3, reach)
-    iteration_kernels.keep_within_limits(x, lower, upper, smoothness(n).factor)
+    keep_within_limits(x, lower, upper, smoothness(n).factor)
     assert (np.abs(x[1:-1]) <= reach).all()
     assert np.array_equal(x[[0, -1]], before[[0, -1]])
     untouched = (np.abs(before[1:-1]) <= reach).all(axis=0)
@@ -78,7 +84,7 @@ def test_a_smooth_excursion_is_pushed_back_smoothly() -> None:
     t = np.linspace(0.0, 1.0, 100)
     x = np.sin(np.pi * t)[:, None]
     limit = np.array([0.8])
-    clipped = iteration_kernels.keep_within_limits(x, -limit, limit, smoothness(100).factor)
+    clipped = keep_within_limits(x, -limit, limit, smoothness(100).factor)
     assert clipped == 0
     corner = np.abs(np.diff(np.minimum(np.sin(np.pi * t), 0.8), 2)).max()
     assert np.abs(np.diff(x[:, 0], 2)).max() < 0.3 * corner

@@ -189,7 +189,7 @@ def test_it_is_the_planner_with_all_terms_of_the_arm(seed: int, n_joints: int, a
         HumanOccupancyCost(chain, points, occupancy, 1.0),
         SmoothnessCost(1.0),
     ]
-    assert StompPlanner(terms, *limits, config).compiled
+    assert StompPlanner(terms, *limits, config).compiled_terms is not None
     theirs = [obstacle_term(chain, spheres, field, 100.0), watched.term, smoothness_term(1.0)]
     ours, exact, tolerance = both(terms, theirs, limits, config, initial, seed)
     assume(not watched.undecided(4e-5))

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from humanpred_ros.errors import PlanningError
-from humanpred_ros.stomp import iteration_kernels
-from humanpred_ros.stomp.smoothness import accelerations_matrix, smoothness
+from humanpred_ros.stomp.smoothness import accelerations_matrix, colour, smoothness, solve
 
 
 def dense(n_waypoints: int) -> np.ndarray:
@@ -21,7 +20,7 @@ def test_updates_are_the_columns_of_the_inverse_scaled_to_one_over_n(n: int) -> 
     M = inverse / np.abs(inverse).max(axis=0) / (n - 2)
     smooth = smoothness(n)
     scaled = np.diag(smooth.column_scale)
-    iteration_kernels.solve(smooth.factor, scaled)
+    solve(smooth.factor, scaled)
     np.testing.assert_allclose(scaled, M, rtol=1e-6, atol=1e-12)
     np.testing.assert_allclose(np.abs(M).max(axis=0), 1.0 / (n - 2))
 
@@ -29,7 +28,7 @@ def test_updates_are_the_columns_of_the_inverse_scaled_to_one_over_n(n: int) -> 
 @pytest.mark.parametrize("n", [5, 8, 60, 100])
 def test_noise_has_the_inverse_as_its_covariance(n: int) -> None:
     white = np.eye(n - 2, dtype=np.float32)
-    iteration_kernels.colour(smoothness(n).factor.astype(np.float32), white)
+    colour(smoothness(n).factor.astype(np.float32), white)
     map_of_noise = white.astype(np.float64)
     covariance = map_of_noise @ map_of_noise.T
     exact = np.linalg.inv(dense(n))
