@@ -47,17 +47,11 @@ MCAP_TROUBLE: tuple[type[Exception], ...] = (
 
 @dataclass(frozen=True)
 class FileFrame:
-    """What the outer frame of an mcap file says.
+    """What the outer frame of an mcap file says."""
 
-    Attributes:
-        summary: mcap's Summary (schemas, channels, statistics, indexes), None if there is none.
-        trouble: what is wrong with the frame, empty if nothing.
-        checksum: whether a wrong CRC is what is wrong.
-    """
-
-    summary: Any | None = None
-    trouble: str = ""
-    checksum: bool = False
+    summary: Any | None = None  #: mcap's Summary (schemas, channels, statistics, indexes), None if there is none
+    trouble: str = ""  #: what is wrong with the frame, empty if nothing
+    checksum: bool = False  #: whether a wrong CRC is what is wrong
 
 
 def read_frame(path: Path, stream: IO[bytes], *, verify_data: bool = True) -> FileFrame:

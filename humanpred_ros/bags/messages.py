@@ -32,17 +32,11 @@ _POINT_CODES = {np.dtype(name): code for code, name in _POINT_TYPES.items()}
 
 @dataclass(frozen=True)
 class TypeDefinition:
-    """What a bag stores about a message type so that any tool can decode it.
+    """What a bag stores about a message type so that any tool can decode it."""
 
-    Attributes:
-        text: the message definition with all it depends on.
-        encoding: `ros2msg` or `ros2idl`.
-        type_hash: the REP-2011 hash (`RIHS01_...`); empty if unknown.
-    """
-
-    text: str
-    encoding: str
-    type_hash: str
+    text: str  #: the message definition with all it depends on
+    encoding: str  #: `ros2msg` or `ros2idl`
+    type_hash: str  #: the REP-2011 hash (`RIHS01_...`); empty if unknown
 
 
 @lru_cache(maxsize=1)

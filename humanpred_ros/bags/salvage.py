@@ -46,21 +46,13 @@ _STEP_BYTES = 4096
 
 @dataclass(frozen=True)
 class BagReport:
-    """What is in a bag and what is wrong with it.
+    """What is in a bag and what is wrong with it."""
 
-    Attributes:
-        path: the bag looked at.
-        readable: the ordinary reader reads it from beginning to end.
-        crc_ok: no checksum is wrong.
-        messages: number of intact messages per topic.
-        problems: in words, with file and byte; empty if all is well.
-    """
-
-    path: Path
-    readable: bool
-    crc_ok: bool
-    messages: Mapping[str, int]
-    problems: tuple[str, ...]
+    path: Path  #: the bag looked at
+    readable: bool  #: the ordinary reader reads it from beginning to end
+    crc_ok: bool  #: no checksum is wrong
+    messages: Mapping[str, int]  #: number of intact messages per topic
+    problems: tuple[str, ...]  #: in words, with file and byte; empty if all is well
 
     @property
     def ok(self) -> bool:
@@ -254,21 +246,14 @@ class _ChecksumError(ValueError):
 
 @dataclass(frozen=True)
 class _Chunk:
-    """A chunk's header and as much of its compressed bytes as there are.
+    """A chunk's header and as much of its compressed bytes as there are."""
 
-    Attributes:
-        uncompressed_size, crc, compression: from its header.
-        consistent: the record's length and the compressed size agree.
-        cut_off: the compressed bytes should go on beyond the end of the file.
-        compressed: the bytes there are.
-    """
-
-    uncompressed_size: int
+    uncompressed_size: int  #: from its header
     crc: int
     compression: str
-    consistent: bool
-    cut_off: bool
-    compressed: bytes
+    consistent: bool  #: the record's length and the compressed size agree
+    cut_off: bool  #: the compressed bytes should go on beyond the end of the file
+    compressed: bytes  #: the bytes there are
 
     @staticmethod
     def at(data: mmap.mmap, position: int) -> _Chunk:

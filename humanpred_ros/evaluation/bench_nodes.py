@@ -16,8 +16,7 @@ from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.planner_bench_world import SCENE, spread_goals
 from humanpred_ros.evaluation.processes import NodeGroup
 from humanpred_ros.motion.bag_library import write_library_bag
-from humanpred_ros.motion.motion import Motion, MotionLibrary, resample
-from humanpred_ros.motion.placement import pelvis_columns
+from humanpred_ros.motion.motion import Motion, MotionLibrary, pelvis_columns, resample
 from humanpred_ros.resources import share_file
 from humanpred_ros.robot.scene import load_scene
 

@@ -49,8 +49,7 @@ from rich.text import Text
 
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.outputs import check_writable, machine_facts, write_csv, write_json, write_plot
-from humanpred_ros.motion.csv_library import DEFAULT_FRAME_PERIOD_S
-from humanpred_ros.motion.library_io import load_library
+from humanpred_ros.motion.library_io import DEFAULT_FRAME_PERIOD_S, load_library
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.resources import locate
 from humanpred_ros.settings import Settings, setting

@@ -56,8 +56,7 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel, human_with
 from humanpred_ros.motion.cleaning import DROP_REASONS, flag_library
-from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.motion.placement import placed, start_pelvis_m, turn_and_shift
+from humanpred_ros.motion.motion import MotionLibrary, placed, start_pelvis_m, turn_and_shift
 from humanpred_ros.occupancy.predictor import predictor_type
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.recognition.classifier import check_trainable

@@ -18,8 +18,7 @@ from humanpred_ros.evaluation.recognition_scores import percent_indices
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.motion.placement import pelvis_columns, placed
+from humanpred_ros.motion.motion import Motion, MotionLibrary, pelvis_columns, placed
 from humanpred_ros.occupancy.predictor import Predictor
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor

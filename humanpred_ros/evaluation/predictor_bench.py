@@ -27,8 +27,7 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.motion.motion import Motion
-from humanpred_ros.motion.placement import placed, turn_and_shift
+from humanpred_ros.motion.motion import Motion, placed, turn_and_shift
 from humanpred_ros.occupancy.predictor import Predictor, PredictorRequest, make_predictor
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR
 from humanpred_ros.reaching.futures import ReachFuturesSettings

@@ -64,17 +64,11 @@ class KinectConfig(Settings):
 
 @dataclass(frozen=True)
 class KinectPosture:
-    """A posture as far as the tracker's points determine it.
+    """A posture as far as the tracker's points determine it."""
 
-    Attributes:
-        q: (12,) posture, NaN exactly where a DoF is in `missing` or `implausible`.
-        missing: DoF -> why it could not be determined (a lost point, or a DoF that it needs).
-        implausible: DoF -> why what was measured cannot be a person.
-    """
-
-    q: FloatArray
-    missing: Mapping[str, str]
-    implausible: Mapping[str, str]
+    q: FloatArray  #: (12,) posture, NaN exactly where a DoF is in `missing` or `implausible`
+    missing: Mapping[str, str]  #: DoF -> why it could not be determined (a lost point, or a DoF that it needs)
+    implausible: Mapping[str, str]  #: DoF -> why what was measured cannot be a person
 
     @property
     def complete(self) -> bool:

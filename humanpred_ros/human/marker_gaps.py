@@ -25,19 +25,12 @@ BRIDGE_DEGREE, BRIDGE_FRAMES = 3, 6
 
 @dataclass(frozen=True)
 class FilledMarkers:
-    """Markers after filling.
+    """Markers after filling."""
 
-    Attributes:
-        points_m: (T, M, 3), NaN where a gap stays open.
-        restored: (T, M) hidden or misplaced, known from the segment's other markers.
-        interpolated: (T, M) hidden, bridged in time.
-        misplaced: (T, M) seen, but not where the segment's others want it.
-    """
-
-    points_m: FloatArray
-    restored: NDArray[np.bool_]
-    interpolated: NDArray[np.bool_]
-    misplaced: NDArray[np.bool_]
+    points_m: FloatArray  #: (T, M, 3), NaN where a gap stays open
+    restored: NDArray[np.bool_]  #: (T, M) hidden or misplaced, known from the segment's other markers
+    interpolated: NDArray[np.bool_]  #: (T, M) hidden, bridged in time
+    misplaced: NDArray[np.bool_]  #: (T, M) seen, but not where the segment's others want it
 
 
 def measure_shapes(markers: MarkerSet, points_m: FloatArray) -> dict[str, FloatArray]:

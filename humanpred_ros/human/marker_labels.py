@@ -32,15 +32,10 @@ SHOULDER_REACH_M = 0.45
 
 @dataclass(frozen=True)
 class ShapeMatch:
-    """Which detections are a segment's markers.
+    """Which detections are a segment's markers."""
 
-    Attributes:
-        detection: (K,) number of each marker's detection, -1 where there is none.
-        off_m: greatest distance of one of them from the shape, or from where it is expected.
-    """
-
-    detection: NDArray[np.int64]
-    off_m: float
+    detection: NDArray[np.int64]  #: (K,) number of each marker's detection, -1 where there is none
+    off_m: float  #: greatest distance of one of them from the shape, or from where it is expected
 
     @property
     def count(self) -> int:

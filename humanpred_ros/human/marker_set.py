@@ -54,17 +54,11 @@ class MarkerConfig(Settings):
 
 @dataclass(frozen=True)
 class Marker:
-    """One marker.
+    """One marker."""
 
-    Attributes:
-        name: its label.
-        segment: one of `LINK_OF_SEGMENT`.
-        local_m: where it is in the segment's link, metres.
-    """
-
-    name: str
-    segment: str
-    local_m: tuple[float, float, float]
+    name: str  #: its label
+    segment: str  #: one of `LINK_OF_SEGMENT`
+    local_m: tuple[float, float, float]  #: where it is in the segment's link, metres
 
 
 #: x forward, y left, z up with hanging arms and palms forward; "lateral" is to the right on the right arm.

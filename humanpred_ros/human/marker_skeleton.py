@@ -36,19 +36,13 @@ PLAUSIBLE_PLACE_M = 0.04
 
 @dataclass(frozen=True)
 class MarkerPostures:
-    """The postures of T frames of markers.
+    """The postures of T frames of markers."""
 
-    Attributes:
-        q: (T, 23) postures, angles unwrapped, NaN exactly where the markers do not determine a DoF.
-        markers: the markers after filling, with what was done to each.
-        lost: (T, 6) segments (in the order of `LINK_OF_SEGMENT`) that were not seen and could not be filled.
-        worn: the marker set.
-    """
-
-    q: FloatArray
-    markers: FilledMarkers
+    q: FloatArray  #: (T, 23) postures, angles unwrapped, NaN exactly where the markers do not determine a DoF
+    markers: FilledMarkers  #: the markers after filling, with what was done to each
+    #: (T, 6) segments (in the order of `LINK_OF_SEGMENT`) that were not seen and could not be filled
     lost: NDArray[np.bool_]
-    worn: MarkerSet
+    worn: MarkerSet  #: the marker set
 
     @property
     def complete(self) -> NDArray[np.bool_]:

@@ -32,15 +32,10 @@ T = TypeVar("T", bound=np.generic)
 
 
 class SurfacePoints(NamedTuple):
-    """Points on the surface of a model's bodies, fixed to its links; read-only.
+    """Points on the surface of a model's bodies, fixed to its links; read-only."""
 
-    Attributes:
-        link: (P,) index of each point's link in the model's `link_names`.
-        local_m: (P, 3) the points in their links' frames.
-    """
-
-    link: NDArray[np.int64]
-    local_m: FloatArray
+    link: NDArray[np.int64]  #: (P,) index of each point's link in the model's `link_names`
+    local_m: FloatArray  #: (P, 3) the points in their links' frames
 
 
 class HumanModel:

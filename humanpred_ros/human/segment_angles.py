@@ -39,15 +39,11 @@ ALIGNED_RAD = 1e-6
 
 @dataclass(frozen=True)
 class SegmentFrames:
-    """Where the segments are in T frames, in the tracker's frame.
+    """Where the segments are in T frames, in the tracker's frame."""
 
-    Attributes:
-        rotation: (T, 3, 3) by segment: waist, torso, upper_arm, forearm, hand (x forward, y left, z up in zero pose).
-        centre_m: (T, 3) joint centres: torso, shoulder, elbow, wrist.
-    """
-
+    #: (T, 3, 3) by segment: waist, torso, upper_arm, forearm, hand (x forward, y left, z up in zero pose)
     rotation: Mapping[str, FloatArray]
-    centre_m: Mapping[str, FloatArray]
+    centre_m: Mapping[str, FloatArray]  #: (T, 3) joint centres: torso, shoulder, elbow, wrist
 
 
 def segment_frames(markers: MarkerSet, points_m: FloatArray) -> SegmentFrames:

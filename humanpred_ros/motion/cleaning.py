@@ -52,21 +52,13 @@ class CleaningConfig(Settings):
 
 @dataclass(frozen=True)
 class Flag:
-    """Something suspicious.
+    """Something suspicious."""
 
-    Attributes:
-        motion: name, `class/index`.
-        frame: the frame at which it shows, None if the whole motion is meant.
-        dof: the DoF, None if no single one is meant.
-        reason: a key of REASONS.
-        value: how large, in the reason's unit (jumps: rad/s or m/s).
-    """
-
-    motion: str
-    frame: int | None
-    dof: str | None
-    reason: str
-    value: float
+    motion: str  #: name, `class/index`
+    frame: int | None  #: the frame at which it shows, None if the whole motion is meant
+    dof: str | None  #: the DoF, None if no single one is meant
+    reason: str  #: a key of REASONS
+    value: float  #: how large, in the reason's unit (jumps: rad/s or m/s)
 
     def __str__(self) -> str:
         where = "" if self.frame is None else f", frame {self.frame}"

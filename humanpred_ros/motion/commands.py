@@ -15,8 +15,7 @@ from humanpred_ros.human.marker_set import MarkerConfig
 from humanpred_ros.human.model import HumanModel, human_with
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.cleaning import clean_library, flag_library
-from humanpred_ros.motion.csv_library import DEFAULT_FRAME_PERIOD_S
-from humanpred_ros.motion.library_io import load_library
+from humanpred_ros.motion.library_io import DEFAULT_FRAME_PERIOD_S, load_library
 from humanpred_ros.motion.library_statistics import comparison_markdown
 from humanpred_ros.motion.marker_files import SUFFIXES, MarkerRecording, read_marker_file
 from humanpred_ros.motion.marker_import import MarkerReader, class_of, read_names

@@ -20,19 +20,12 @@ from humanpred_ros.geometry.checks import FloatArray
 
 @dataclass(frozen=True)
 class Table:
-    """The numbers of a file.
+    """The numbers of a file."""
 
-    Attributes:
-        path: the file.
-        columns: C titles.
-        rows: (R, C) numbers.
-        lines: the line each row stands on.
-    """
-
-    path: Path
-    columns: tuple[str, ...]
-    rows: FloatArray
-    lines: Sequence[int]
+    path: Path  #: the file
+    columns: tuple[str, ...]  #: C titles
+    rows: FloatArray  #: (R, C) numbers
+    lines: Sequence[int]  #: the line each row stands on
 
     def __getitem__(self, column: str) -> FloatArray:
         return np.asarray(self.rows[:, self.columns.index(column)])

@@ -7,7 +7,6 @@ so that libraries recorded in different frames compare. The palm is the model's,
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ from humanpred_ros.errors import LibraryFormatError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.cleaning import clean_library
-from humanpred_ros.motion.motion import Motion, MotionLibrary, resample_phase, unwrap_angles
+from humanpred_ros.motion.motion import MotionLibrary, resample_phase, unwrap_angles
 
 #: Postures a motion is resampled to: one per percent of its duration, as P1's libraries are.
 _N_PHASES = 101
@@ -43,43 +42,12 @@ class Spread(NamedTuple):
         return f"{middle} ({low} to {high})"
 
 
-@dataclass(frozen=True)
 class LibraryStatistics:
     """Aggregates of a library of C classes with D degrees of freedom; lengths in metres, angles in radians.
 
-    Speeds are the palm's, over 4 % of a motion. Phases are shares of a motion. Places (`goal_m`, `extent_m`) are
-    forwards, left and up of the resting pelvis.
-    """
-
-    name: str
-    n_motions: int
-    n_frames: int
-    labels: tuple[int, ...]
-    motions_per_class: tuple[int, ...]
-    stamps: str  # where the times come from (provenance); durations and speeds are worth no more than that
-    duration_s: Spread
-    frame_period_s: Spread
-    mean_speed_m_s: Spread
-    peak_speed_m_s: Spread
-    path_m: Spread  # length of the palm's path
-    reach_m: Spread  # greatest distance of the palm from where it rested
-    end_m: Spread  # its distance from there in the last frame
-    leave_phase: Spread  # when the palm has left by 10 % of its reach
-    apex_phase: Spread  # when it is farthest
-    distance_m: FloatArray  # (11,) median distance of the palm from rest at 0, 10, ... 100 % of the motion
-    goal_m: FloatArray  # (C, 3) median place of the palm when farthest, by class
-    goal_sd_m: FloatArray  # (C, 3) standard deviation of that place along the tracker's axes
-    goal_spacing_m: FloatArray  # (C,) distance to the nearest other class's
-    extent_m: FloatArray  # (3, 2) 1 and 99 % of the palm's places
-    dof_names: tuple[str, ...]
-    dof_range: FloatArray  # (D,) median over the motions of the range within a motion
-    dof_start_sd: FloatArray  # (D,) standard deviation of the first posture
-    class_found: FloatArray  # (11,) share of the motions whose class one posture shows (`_found_by_nearest_mean`)
-    chance: float  # share that guessing gets right; class_found[0] above it: the start gives the class away
-
-
-def library_statistics(library: MotionLibrary, *, model: HumanModel | None = None) -> LibraryStatistics:
-    """Return the statistics of a library as it is: clean it first (`cleaning`), wild postures count like others.
+    The library counts as it is: clean it first (`cleaning`), wild postures count like others. Speeds are the palm's,
+    over 4 % of a motion. Phases are shares of a motion. Places (`goal_m`, `extent_m`) are forwards, left and up of the
+    resting pelvis.
 
     Args:
         library: at least two classes, all motions labelled.
@@ -89,59 +57,67 @@ def library_statistics(library: MotionLibrary, *, model: HumanModel | None = Non
         LibraryFormatError: a motion without a label, or fewer than two classes.
         HumanModelError: the library's DoFs are not the model's.
     """
-    human = model or HumanModel.kinect12()
-    human.check_dofs(library.dof_names)
-    if len(library.labels) < 2 or any(motion.label is None for motion in library):
-        raise LibraryFormatError(
-            f"library {library.name}: wanted labelled motions of at least 2 classes, got classes {library.labels}"
-            " and maybe motions without; select labelled motions"
-        )
-    motions = [unwrap_angles(motion) for motion in library]
-    q = np.stack([resample_phase(motion, _N_PHASES).q for motion in motions])
-    palm = human.forward(q.reshape(-1, q.shape[-1]))["right_palm"].reshape(len(q), _N_PHASES, 3)
-    labels = np.array([motion.label for motion in motions], dtype=np.int64)
-    index = np.array([motion.index for motion in motions])
-    duration = np.array([motion.duration_s for motion in motions])
 
-    away = np.linalg.norm(palm - palm[:, :1], axis=-1)
-    reach, apex = away.max(axis=1), away.argmax(axis=1)
-    goal = palm[np.arange(len(palm)), apex]
-    step = np.linalg.norm(palm[:, _SPEED_STEP:] - palm[:, :-_SPEED_STEP], axis=-1)
-    speed = step / (duration * _SPEED_STEP / (_N_PHASES - 1))[:, None]
-    seen_palm = _seen_at_rest(palm, q[:, 0], human)
-    seen_goal = seen_palm[np.arange(len(palm)), apex]
-    classes = [labels == label for label in library.labels]
-    centre = np.array([np.median(goal[mine], axis=0) for mine in classes])
-    apart = np.linalg.norm(centre[:, None] - centre, axis=-1)
-    np.fill_diagonal(apart, np.inf)
-    tens = np.arange(0, _N_PHASES, 10)
-    return LibraryStatistics(
-        name=library.name,
-        n_motions=len(library),
-        n_frames=sum(len(motion) for motion in library),
-        labels=library.labels,
-        motions_per_class=tuple(int(mine.sum()) for mine in classes),
-        stamps=library.provenance.get("stamps", "unknown"),
-        duration_s=Spread.of(duration),
-        frame_period_s=Spread.of(np.concatenate([np.diff(motion.t_s) for motion in library])),
-        mean_speed_m_s=Spread.of(speed.mean(axis=1)),
-        peak_speed_m_s=Spread.of(speed.max(axis=1)),
-        path_m=Spread.of(np.array([_path_m(motion, human) for motion in motions])),
-        reach_m=Spread.of(reach),
-        end_m=Spread.of(away[:, -1]),
-        leave_phase=Spread.of((away > 0.1 * reach[:, None]).argmax(axis=1) / (_N_PHASES - 1)),
-        apex_phase=Spread.of(apex / (_N_PHASES - 1)),
-        distance_m=np.median(away[:, tens], axis=0),
-        goal_m=np.array([np.median(seen_goal[mine], axis=0) for mine in classes]),
-        goal_sd_m=np.array([goal[mine].std(axis=0) for mine in classes]),
-        goal_spacing_m=apart.min(axis=1),
-        extent_m=np.percentile(seen_palm.reshape(-1, 3), (1, 99), axis=0).T,
-        dof_names=library.dof_names,
-        dof_range=np.median(np.ptp(q, axis=1), axis=0),
-        dof_start_sd=q[:, 0].std(axis=0),
-        class_found=np.array([_found_by_nearest_mean(q[:, k], labels, index) for k in tens]),
-        chance=1.0 / len(library.labels),
-    )
+    def __init__(self, library: MotionLibrary, *, model: HumanModel | None = None) -> None:
+        human = model or HumanModel.kinect12()
+        human.check_dofs(library.dof_names)
+        if len(library.labels) < 2 or any(motion.label is None for motion in library):
+            raise LibraryFormatError(
+                f"library {library.name}: wanted labelled motions of at least 2 classes, got classes {library.labels}"
+                " and maybe motions without; select labelled motions"
+            )
+        motions = [unwrap_angles(motion) for motion in library]
+        q = np.stack([resample_phase(motion, _N_PHASES).q for motion in motions])
+        palm = human.forward(q.reshape(-1, q.shape[-1]))["right_palm"].reshape(len(q), _N_PHASES, 3)
+        labels = np.array([motion.label for motion in motions], dtype=np.int64)
+        classes = [labels == label for label in library.labels]
+        self.name = library.name
+        self.n_motions, self.n_frames = len(library), sum(len(motion) for motion in library)
+        self.labels = library.labels
+        self.motions_per_class = tuple(int(mine.sum()) for mine in classes)
+        #: Where the times come from; durations and speeds are worth no more than that.
+        self.stamps = library.provenance.get("stamps", "unknown")
+        duration = np.array([motion.duration_s for motion in motions])
+        self.duration_s = Spread.of(duration)
+        self.frame_period_s = Spread.of(np.concatenate([np.diff(motion.t_s) for motion in library]))
+
+        step = np.linalg.norm(palm[:, _SPEED_STEP:] - palm[:, :-_SPEED_STEP], axis=-1)
+        speed = step / (duration * _SPEED_STEP / (_N_PHASES - 1))[:, None]
+        self.mean_speed_m_s, self.peak_speed_m_s = Spread.of(speed.mean(axis=1)), Spread.of(speed.max(axis=1))
+        paths = [human.forward(motion.q)["right_palm"] for motion in motions]
+        lengths = [float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()) for path in paths]
+        self.path_m = Spread.of(np.array(lengths))  # length of the palm's path
+        away = np.linalg.norm(palm - palm[:, :1], axis=-1)
+        reach, apex = away.max(axis=1), away.argmax(axis=1)
+        self.reach_m = Spread.of(reach)  # greatest distance of the palm from where it rested
+        self.end_m = Spread.of(away[:, -1])  # its distance from there in the last frame
+        #: When the palm has left by 10 % of its reach, and when it is farthest.
+        self.leave_phase = Spread.of((away > 0.1 * reach[:, None]).argmax(axis=1) / (_N_PHASES - 1))
+        self.apex_phase = Spread.of(apex / (_N_PHASES - 1))
+        tens = np.arange(0, _N_PHASES, 10)
+        #: (11,) median distance of the palm from rest at 0, 10, ... 100 % of the motion.
+        self.distance_m: FloatArray = np.median(away[:, tens], axis=0)
+
+        goal = palm[np.arange(len(palm)), apex]
+        pelvis = human.link_poses(q[:, 0])[:, human.link_names.index("pelvis")]
+        seen = np.einsum("nji,ntj->nti", pelvis[:, :3, :3], palm - pelvis[:, None, :3, 3])
+        seen_goal = seen[np.arange(len(palm)), apex]
+        #: (C, 3) median place of the palm when farthest, by class, and its standard deviation on the tracker's axes.
+        self.goal_m: FloatArray = np.array([np.median(seen_goal[mine], axis=0) for mine in classes])
+        self.goal_sd_m: FloatArray = np.array([goal[mine].std(axis=0) for mine in classes])
+        centre = np.array([np.median(goal[mine], axis=0) for mine in classes])
+        apart = np.linalg.norm(centre[:, None] - centre, axis=-1)
+        np.fill_diagonal(apart, np.inf)
+        self.goal_spacing_m: FloatArray = apart.min(axis=1)  # (C,) distance to the nearest other class's
+        #: (3, 2) 1 and 99 % of the palm's places.
+        self.extent_m: FloatArray = np.percentile(seen.reshape(-1, 3), (1, 99), axis=0).T
+        self.dof_names = library.dof_names
+        self.dof_range: FloatArray = np.median(np.ptp(q, axis=1), axis=0)  # (D,) median of the range within a motion
+        self.dof_start_sd: FloatArray = q[:, 0].std(axis=0)  # (D,) standard deviation of the first posture
+        index = np.array([motion.index for motion in motions])
+        #: (11,) share of the motions whose class one posture shows; above `chance` at 0 %, the start gives it away.
+        self.class_found: FloatArray = np.array([_found_by_nearest_mean(q[:, k], labels, index) for k in tens])
+        self.chance = 1.0 / len(library.labels)  # share that guessing gets right
 
 
 def comparison_markdown(a: MotionLibrary, b: MotionLibrary) -> str:
@@ -153,7 +129,7 @@ def comparison_markdown(a: MotionLibrary, b: MotionLibrary) -> str:
         LibraryFormatError: motions without labels, or fewer than two classes.
         HumanModelError: a library of another human than P1's.
     """
-    both = [library_statistics(clean_library(library, drop=True)) for library in (a, b)]
+    both = [LibraryStatistics(clean_library(library, drop=True)) for library in (a, b)]
     names = [s.name for s in both]
     spacing = [(s.goal_spacing_m.min(), s.goal_spacing_m.max()) for s in both]
     goal_sd = [np.median(s.goal_sd_m, axis=0) for s in both]
@@ -220,17 +196,6 @@ def _goal(statistics: LibraryStatistics, label: int) -> str:
 def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
-
-
-def _path_m(motion: Motion, human: HumanModel) -> float:
-    return float(np.linalg.norm(np.diff(human.forward(motion.q)["right_palm"], axis=0), axis=1).sum())
-
-
-def _seen_at_rest(places: FloatArray, rest_q: FloatArray, human: HumanModel) -> FloatArray:
-    """Return places (N, T, 3) as forwards, left, up of the pelvis in the N resting postures (N, D)."""
-    pose = human.link_poses(rest_q)[:, human.link_names.index("pelvis")]
-    seen: FloatArray = np.einsum("nji,ntj->nti", pose[:, :3, :3], places - pose[:, None, :3, 3])
-    return seen
 
 
 def _found_by_nearest_mean(postures: FloatArray, labels: NDArray[np.int64], index: NDArray[np.int64]) -> float:

@@ -30,21 +30,13 @@ _COORDINATE = re.compile(r"(?P<marker>.+?)[_.: ](?P<axis>[xyz])", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class MarkerRecording:
-    """One take.
+    """One take."""
 
-    Attributes:
-        path: the file.
-        names: M labels as the file has them.
-        points: (T, M, 3) positions in the file's unit and axes, NaN where hidden.
-        t_s: (T,) stamps, rising.
-        unit: what the file says about its unit ("mm"), None if it says nothing.
-    """
-
-    path: Path
-    names: tuple[str, ...]
-    points: FloatArray
-    t_s: FloatArray
-    unit: str | None
+    path: Path  #: the file
+    names: tuple[str, ...]  #: M labels as the file has them
+    points: FloatArray  #: (T, M, 3) positions in the file's unit and axes, NaN where hidden
+    t_s: FloatArray  #: (T,) stamps, rising
+    unit: str | None  #: what the file says about its unit ("mm"), None if it says nothing
 
     @property
     def name(self) -> str:

@@ -100,17 +100,11 @@ class MarkerNames(PersonNames):
 
 @dataclass(frozen=True)
 class Take:
-    """A person's motion in one recording.
+    """A person's motion in one recording."""
 
-    Attributes:
-        motion: postures of the 23-DoF human.
-        frames: the part of the recording that it covers.
-        said: what was done to the markers.
-    """
-
-    motion: Motion
-    frames: slice
-    said: str
+    motion: Motion  #: postures of the 23-DoF human
+    frames: slice  #: the part of the recording that it covers
+    said: str  #: what was done to the markers
 
 
 def read_names(path: Path) -> MarkerNames:

@@ -61,21 +61,13 @@ class ReachRecordingConfig(Settings):
 
 @dataclass(frozen=True)
 class Jump:
-    """A step that no person makes: a marker was lost or mistaken.
+    """A step that no person makes: a marker was lost or mistaken."""
 
-    Attributes:
-        role: ACTIVE or PASSIVE.
-        frame: the first frame after the step; what lies beyond it, up to the next jump, may be displaced.
-        what: the watched link that moved fastest, or the angle that turned fastest if no link jumped.
-        speed: of that.
-        unit: of the speed, m/s or rad/s.
-    """
-
-    role: str
-    frame: int
-    what: str
-    speed: float
-    unit: str = "m/s"
+    role: str  #: ACTIVE or PASSIVE
+    frame: int  #: the first frame after the step; what lies beyond it, up to the next jump, may be displaced
+    what: str  #: the watched link that moved fastest, or the angle that turned fastest if no link jumped
+    speed: float  #: of that
+    unit: str = "m/s"  #: of the speed, m/s or rad/s
 
     def __str__(self) -> str:
         return f"{self.what.replace('_', ' ')} jumps at frame {self.frame} ({self.speed:.1f} {self.unit})"
@@ -83,23 +75,15 @@ class Jump:
 
 @dataclass(frozen=True)
 class ReachRecording:
-    """One reach and the partner beside it: immutable, as many frames for both, at the same stamps.
+    """One reach and the partner beside it: immutable, as many frames for both, at the same stamps."""
 
-    Attributes:
-        name: of the recording, usually its first and last frame in the session.
-        active: the person who reaches; angles are unwrapped and begin within half a turn of zero, stamps begin at 0.
-        passive: the partner.
-        jumps: marked steps of both, by frame.
-        notes: sentences about what was mended or looks doubtful.
-        least_frames: a shorter one is not learned from.
-    """
-
-    name: str
+    name: str  #: of the recording, usually its first and last frame in the session
+    #: the person who reaches; angles are unwrapped and begin within half a turn of zero, stamps begin at 0
     active: Motion
-    passive: Motion
-    jumps: tuple[Jump, ...] = ()
-    notes: tuple[str, ...] = ()
-    least_frames: int = 7
+    passive: Motion  #: the partner
+    jumps: tuple[Jump, ...] = ()  #: marked steps of both, by frame
+    notes: tuple[str, ...] = ()  #: sentences about what was mended or looks doubtful
+    least_frames: int = 7  #: a shorter one is not learned from
 
     def __post_init__(self) -> None:
         if len(self.active) != len(self.passive) or self.active.dof_names != self.passive.dof_names:

@@ -12,8 +12,7 @@ need (legs, say) stays, with NaN for these.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,81 +126,60 @@ class ReachGeneratorConfig(Settings):
             raise SettingsError("goals_m: wanted at least one place, got none")
 
 
-@dataclass(frozen=True)
-class Observed:
-    """What arrives of a person.
+class Observed(NamedTuple):
+    """What arrives of a person."""
 
-    Attributes:
-        t_s: (T,) stamps, strictly increasing.
-        points_m: (T, 15, 3) in the order of SKELETON_POINTS, NaN where a point was lost.
+    t_s: FloatArray  #: (T,) stamps, strictly increasing
+    points_m: FloatArray  #: (T, 15, 3) in the order of SKELETON_POINTS, NaN where a point was lost
+
+
+def observe(
+    exposures_s: FloatArray, points_m: FloatArray, config: DepthCameraConfig, rng: np.random.Generator
+) -> Observed:
+    """Return what arrives of a person whose points at the exposures (T,) are `points_m` (T, 15, 3).
+
+    Raises:
+        ArrayError: wrong shapes, or points that are not finite.
     """
+    t = checked("exposures_s", exposures_s, ("T",))
+    true = checked("points_m", points_m, (len(t), len(SKELETON_POINTS), 3))
+    # The tracker has watched the person before the recording starts: its smoothing has settled by then.
+    t = np.concatenate([t[0] - np.arange(_SETTLING, 0, -1) / config.rate_hz, t])
+    true = np.concatenate([np.repeat(true[:1], _SETTLING, axis=0), true])
+    noise = config.wander_m * _errors(true, slow_noise(t, config.wander_s, _ERRORS, rng), config)
+    noise += config.noise_m * _errors(true, rng.normal(size=(len(t), _ERRORS)), config)
+    sight = true - np.asarray(config.position_m)
+    sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
+    noise += (config.depth_factor - 1.0) * (noise * sight).sum(axis=-1, keepdims=True) * sight
+    seen = np.where(_losses(len(t), config, rng)[..., None], np.nan, true + noise)
+    share = config.smoothing
+    for k in range(1, len(seen)):  # after a loss the tracker's smoothing starts again
+        seen[k] = np.where(np.isnan(seen[k - 1]), seen[k], share * seen[k - 1] + (1.0 - share) * seen[k])
+    seen = np.round(seen[_SETTLING:] / config.step_m) * config.step_m
+    # At most a third of a period either way: stamps keep their order whatever the jitter.
+    jitter = np.clip(config.stamp_jitter_s * rng.normal(size=len(t)), -0.3 / config.rate_hz, 0.3 / config.rate_hz)
+    arrived = rng.random(len(seen)) >= config.frame_loss
+    return Observed((t + jitter)[_SETTLING:][arrived], seen[arrived])
 
-    t_s: FloatArray
-    points_m: FloatArray
+
+def _errors(true: FloatArray, noise: FloatArray, config: DepthCameraConfig) -> FloatArray:
+    """Return errors (T, 15, 3) in units of the trunk's, from unit noise (T, 51): points, trunk's shift and turn."""
+    own = noise[:, :-6].reshape(true.shape)
+    shift, turn = noise[:, None, -6:-3], noise[:, None, -3:] / _LEVER_M
+    trunk = shift + np.cross(turn, true - true[:, _TORSO : _TORSO + 1]) + config.trunk_play * own
+    errors: FloatArray = np.where(_LIMBS[:, None], config.limb_factor * own, trunk)
+    return errors
 
 
-class DepthCamera:
-    """Observes skeletons; has no state between recordings."""
-
-    def __init__(self, config: DepthCameraConfig | None = None) -> None:
-        self.config = config or DepthCameraConfig()
-
-    def exposures_s(self, duration_s: float) -> FloatArray:
-        """Return the times (T,) at which the camera looks during a recording of that length, the first at 0."""
-        return np.arange(int(duration_s * self.config.rate_hz) + 1) / self.config.rate_hz
-
-    def observe(self, exposures_s: FloatArray, points_m: FloatArray, rng: np.random.Generator) -> Observed:
-        """Return what arrives of a person whose points at the exposures (T,) are `points_m` (T, 15, 3).
-
-        Raises:
-            ArrayError: wrong shapes, or points that are not finite.
-        """
-        config = self.config
-        t = checked("exposures_s", exposures_s, ("T",))
-        true = checked("points_m", points_m, (len(t), len(SKELETON_POINTS), 3))
-        # The tracker has watched the person before the recording starts: its smoothing has settled by then.
-        t = np.concatenate([t[0] - np.arange(_SETTLING, 0, -1) / config.rate_hz, t])
-        true = np.concatenate([np.repeat(true[:1], _SETTLING, axis=0), true])
-        noise = config.wander_m * self._errors(true, slow_noise(t, config.wander_s, _ERRORS, rng))
-        noise += config.noise_m * self._errors(true, rng.normal(size=(len(t), _ERRORS)))
-        sight = true - np.asarray(config.position_m)
-        sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
-        noise += (config.depth_factor - 1.0) * (noise * sight).sum(axis=-1, keepdims=True) * sight
-        seen = self._smoothed(true + noise, self._losses(len(t), rng))[_SETTLING:]
-        seen = np.round(seen / config.step_m) * config.step_m
-        # At most a third of a period either way: stamps keep their order whatever the jitter.
-        jitter = np.clip(config.stamp_jitter_s * rng.normal(size=len(t)), -0.3 / config.rate_hz, 0.3 / config.rate_hz)
-        arrived = rng.random(len(seen)) >= config.frame_loss
-        return Observed((t + jitter)[_SETTLING:][arrived], seen[arrived])
-
-    def _errors(self, true: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return errors (T, 15, 3) in units of the trunk's, from unit noise (T, 51): points, trunk's shift and turn."""
-        own = noise[:, :-6].reshape(true.shape)
-        shift, turn = noise[:, None, -6:-3], noise[:, None, -3:] / _LEVER_M
-        trunk = shift + np.cross(turn, true - true[:, _TORSO : _TORSO + 1]) + self.config.trunk_play * own
-        errors: FloatArray = np.where(_LIMBS[:, None], self.config.limb_factor * own, trunk)
-        return errors
-
-    def _losses(self, n: int, rng: np.random.Generator) -> NDArray[np.bool_]:
-        """Draw which points are lost when (T, 15): each comes and goes as a two-state Markov chain."""
-        per_s = np.where(_LEGS, self.config.leg_losses_per_s, self.config.losses_per_s)
-        begin = 1.0 - np.exp(-per_s / self.config.rate_hz)
-        end = 1.0 - np.exp(-1.0 / (self.config.loss_s * self.config.rate_hz))
-        chance = rng.random((n, len(SKELETON_POINTS)))
-        lost = np.zeros(chance.shape, dtype=bool)
-        for k in range(n):
-            before = lost[k - 1] if k else np.zeros(len(SKELETON_POINTS), dtype=bool)
-            lost[k] = np.where(before, chance[k] >= end, chance[k] < begin)
-        return lost
-
-    def _smoothed(self, raw: FloatArray, lost: NDArray[np.bool_]) -> FloatArray:
-        """Smooth points (T, 15, 3) as the tracker does; after a loss its smoothing starts again."""
-        s = self.config.smoothing
-        raw = np.where(lost[..., None], np.nan, raw)
-        seen = raw.copy()
-        for k in range(1, len(raw)):
-            seen[k] = np.where(np.isnan(seen[k - 1]), raw[k], s * seen[k - 1] + (1.0 - s) * raw[k])
-        return seen
+def _losses(n: int, config: DepthCameraConfig, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Draw which points are lost when (T, 15): each comes and goes as a two-state Markov chain."""
+    begin = 1.0 - np.exp(-np.where(_LEGS, config.leg_losses_per_s, config.losses_per_s) / config.rate_hz)
+    end = 1.0 - np.exp(-1.0 / (config.loss_s * config.rate_hz))
+    chance = rng.random((n, len(SKELETON_POINTS)))
+    lost = np.zeros((n + 1, len(SKELETON_POINTS)), dtype=bool)
+    for k in range(n):
+        lost[k + 1] = np.where(lost[k], chance[k] >= end, chance[k] < begin)
+    return lost[1:]
 
 
 def generate_library(config: ReachGeneratorConfig, rng: np.random.Generator) -> MotionLibrary:
@@ -223,19 +201,25 @@ def generate_library(config: ReachGeneratorConfig, rng: np.random.Generator) -> 
     }
     human = HumanModel.kinect12()
     body, skeleton = ReachingBody(human, config.body), KinectSkeleton(human)
-    camera = DepthCamera(config.camera)
-    _check_reachable(config, body)
-
-    goals = np.array(config.goals_m)
-    labels = [label for _ in range(config.motions_per_class) for label in _round_order(config, rng)]
+    goals, average = np.array(config.goals_m), np.array(config.rest_q)
+    for label, goal in enumerate(goals):
+        if (miss := body.miss_m(goal, average)) > 0.02:
+            place = ", ".join(f"{value:.3f}" for value in goal)
+            raise GoalUnreachableError(
+                f"goal {label} at ({place}): wanted a place the person can reach, the palm stays {miss:.2f} m away "
+                f"from it; move the goal or rest_q"
+            )
+    labels: list[int] = []
+    for _ in range(config.motions_per_class):
+        labels += (rng.permutation(len(goals)) if config.order == "shuffled" else np.arange(len(goals))).tolist()
     rests = _resting_postures(config, len(labels) + 1, rng)
     motions = []
     for n, label in enumerate(labels):
         goal = goals[label] + np.array(config.goal_spread_m) * rng.normal(size=3)
         path = draw_hand_path(body.palm_m(rests[n]), goal, body.palm_m(rests[n + 1]), config.path, rng)
-        exposures = camera.exposures_s(path.duration_s)
+        exposures = np.arange(int(path.duration_s * config.camera.rate_hz) + 1) / config.camera.rate_hz
         q = body.follow(path, exposures, rests[n], rng)
-        recording = camera.observe(exposures, skeleton.points(q), rng)
+        recording = observe(exposures, skeleton.points(q), config.camera, rng)
         motions.append(_delivered(recording, skeleton, label, n // len(goals), config.frame_id))
     return MotionLibrary(config.name, tuple(motions), provenance)
 
@@ -250,20 +234,8 @@ def _delivered(recording: Observed, skeleton: KinectSkeleton, label: int, index:
             f"{usable.sum()}; lower the camera's losses or raise its rate"
         )
     t_s = recording.t_s[usable]
-    return Motion(
-        t_s=t_s - t_s[0],
-        q=np.round(postures.q[usable] / _POSTURE_STEP) * _POSTURE_STEP,
-        dof_names=KINECT12_DOFS,
-        label=label,
-        index=index,
-        frame_id=frame_id,
-        points_m=recording.points_m[usable],
-    )
-
-
-def _round_order(config: ReachGeneratorConfig, rng: np.random.Generator) -> list[int]:
-    labels = np.arange(len(config.goals_m))
-    return [int(label) for label in (rng.permutation(labels) if config.order == "shuffled" else labels)]
+    q = np.round(postures.q[usable] / _POSTURE_STEP) * _POSTURE_STEP
+    return Motion(t_s - t_s[0], q, KINECT12_DOFS, label, index, frame_id, recording.points_m[usable])
 
 
 def _resting_postures(config: ReachGeneratorConfig, n: int, rng: np.random.Generator) -> FloatArray:
@@ -277,17 +249,6 @@ def _resting_postures(config: ReachGeneratorConfig, n: int, rng: np.random.Gener
     deviation = np.sqrt(config.round_share) * rounds + np.sqrt(1.0 - config.round_share) * drift
     rests: FloatArray = np.array(config.rest_q) + np.array(config.rest_spread) * deviation
     return rests
-
-
-def _check_reachable(config: ReachGeneratorConfig, body: ReachingBody) -> None:
-    for label, goal in enumerate(np.array(config.goals_m)):
-        miss = body.miss_m(goal, np.array(config.rest_q))
-        if miss > 0.02:
-            place = ", ".join(f"{value:.3f}" for value in goal)
-            raise GoalUnreachableError(
-                f"goal {label} at ({place}): wanted a place the person can reach, the palm stays {miss:.2f} m away "
-                f"from it; move the goal or rest_q"
-            )
 
 
 def _seed_of(rng: np.random.Generator) -> str:

@@ -85,20 +85,13 @@ class BodyConfig(Settings):
 
 @dataclass(frozen=True)
 class Stroke:
-    """One movement that adds `step_m` to where the hand is.
+    """One movement that adds `step_m` to where the hand is."""
 
-    Attributes:
-        start_s, duration_s: when.
-        step_m: (3,) from where to where.
-        bow_m: (3,) deviation from the straight line, reached half way.
-        skew: exponent on the elapsed share of the stroke; below 1 it starts faster.
-    """
-
-    start_s: float
+    start_s: float  #: when
     duration_s: float
-    step_m: FloatArray
-    bow_m: FloatArray
-    skew: float = 1.0
+    step_m: FloatArray  #: (3,) from where to where
+    bow_m: FloatArray  #: (3,) deviation from the straight line, reached half way
+    skew: float = 1.0  #: exponent on the elapsed share of the stroke; below 1 it starts faster
 
     def at(self, t_s: FloatArray) -> FloatArray:
         """Return what the stroke has added at times (T,), as (T, 3)."""
@@ -110,19 +103,12 @@ class Stroke:
 
 @dataclass(frozen=True)
 class HandPath:
-    """A hand's path over time.
+    """A hand's path over time."""
 
-    Attributes:
-        start_m: (3,) where the hand rests.
-        strokes: what moves it; times before the first and after the last are rest.
-        arrival_s: when it is at the goal for the first time (corrections included).
-        duration_s: length of the recording; it may end just before the last stroke does.
-    """
-
-    start_m: FloatArray
-    strokes: tuple[Stroke, ...]
-    arrival_s: float
-    duration_s: float
+    start_m: FloatArray  #: (3,) where the hand rests
+    strokes: tuple[Stroke, ...]  #: what moves it; times before the first and after the last are rest
+    arrival_s: float  #: when it is at the goal for the first time (corrections included)
+    duration_s: float  #: length of the recording; it may end just before the last stroke does
 
     def at(self, t_s: ArrayLike) -> FloatArray:
         """Return the hand's positions (T, 3) at times (T,), seconds from the start of the recording."""

@@ -34,8 +34,7 @@ from humanpred_ros.evaluation.graph_bench import GraphBenchSettings, together
 from humanpred_ros.evaluation.graph_bench_answers import Answers, answers_of, posture_answers, skipped_steps
 from humanpred_ros.evaluation.processes import NodeGroup, NodeProcess
 from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.motion.motion import Motion
-from humanpred_ros.motion.placement import placed, turn_and_shift
+from humanpred_ros.motion.motion import Motion, placed, turn_and_shift
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import Scene, load_scene
 

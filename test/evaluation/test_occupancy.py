@@ -33,8 +33,7 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import write_library_bag
-from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.motion.placement import placed, start_pelvis_m, turn_and_shift
+from humanpred_ros.motion.motion import MotionLibrary, placed, start_pelvis_m, turn_and_shift
 from humanpred_ros.occupancy.predictor import Prediction, Predictor, PredictorRequest
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor

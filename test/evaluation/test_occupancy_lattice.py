@@ -12,8 +12,7 @@ from humanpred_ros.evaluation.occupancy_runs import grid_around, swept_region
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.motion.placement import placed, turn_and_shift
+from humanpred_ros.motion.motion import MotionLibrary, placed, turn_and_shift
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 
 HUMAN = HumanModel.kinect12()

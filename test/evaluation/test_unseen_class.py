@@ -10,8 +10,7 @@ from small_library import small_library
 from humanpred_ros.evaluation.leave_one_out import FoldSettings, UnseenClass
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.motion.placement import turn_and_shift
+from humanpred_ros.motion.motion import MotionLibrary, turn_and_shift
 from humanpred_ros.reaching.places import Places
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
 

@@ -15,12 +15,11 @@ from humanpred_ros.bags import messages as ros
 from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.bags.writer import BagWriter
 from humanpred_ros.errors import BagError
-from humanpred_ros.motion.bag_library import BodyTopics, motion_text, read_library_bag, write_library_bag
+from humanpred_ros.motion.bag_library import body_topics, motion_text, read_library_bag, write_library_bag
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import SKELETON_POINTS, Motion, MotionLibrary
 
-JOINTS = BodyTopics().joint_states
-MOTION = BodyTopics().motion
+JOINTS, MOTION, POINTS = body_topics()
 
 
 def bits(library: MotionLibrary) -> list[object]:
@@ -138,7 +137,7 @@ def test_frames_without_points_have_lost_points(tmp_path: Path) -> None:
             bag.write_message(JOINTS, 10 + k, ros.joint_state(10 + k, ("a",), (0.0,)))
             if k != 1:
                 fields = {axis: np.full(15, float(k)) for axis in "xyz"}
-                bag.write_message(BodyTopics().points, 10 + k, ros.point_cloud2(10 + k, "", fields))
+                bag.write_message(POINTS, 10 + k, ros.point_cloud2(10 + k, "", fields))
     (motion,) = read_library_bag(tmp_path / "bag")
     assert motion.points_m is not None
     assert np.isnan(motion.points_m).all(axis=(1, 2)).tolist() == [False, True, False]

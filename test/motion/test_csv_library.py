@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 from paths import shared_data
 
 from humanpred_ros.errors import LibraryFormatError
-from humanpred_ros.motion.csv_library import KINECT12_DOFS, read_csv_library
+from humanpred_ros.motion.library_io import KINECT12_DOFS, read_csv_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 
 pytestmark = pytest.mark.core

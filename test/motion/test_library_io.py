@@ -10,8 +10,7 @@ from paths import shared_data
 from humanpred_ros.errors import BagError, LibraryFormatError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import write_library_bag
-from humanpred_ros.motion.csv_library import KINECT12_DOFS
-from humanpred_ros.motion.library_io import load_library
+from humanpred_ros.motion.library_io import KINECT12_DOFS, load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 
 

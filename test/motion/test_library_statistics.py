@@ -11,7 +11,7 @@ from humanpred_ros.human.kinect import KINECT12_DOFS
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.cleaning import clean_library
 from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.motion.library_statistics import comparison_markdown, library_statistics
+from humanpred_ros.motion.library_statistics import LibraryStatistics, comparison_markdown
 from humanpred_ros.motion.motion import Motion, MotionLibrary, resample_phase
 
 REST = np.array([1.0, 2.0, 0.9, 0.7, 0.0, 0.0, 0.0, 1.4, 0.1, 0.0, 0.1, 0.4])
@@ -34,7 +34,7 @@ def gliders(**kinds: float) -> MotionLibrary:
 
 
 def test_known_motions_have_the_known_numbers() -> None:
-    found = library_statistics(gliders())
+    found = LibraryStatistics(gliders())
     assert (found.n_motions, found.n_frames, found.labels, found.motions_per_class) == (8, 648, (0, 1), (4, 4))
     assert found.stamps == "made up"
     assert found.duration_s.p50 == pytest.approx(2.0)
@@ -57,7 +57,7 @@ def test_known_motions_have_the_known_numbers() -> None:
 
 
 def test_where_the_person_faces_does_not_matter() -> None:
-    one, other = library_statistics(gliders(yaw=0.7)), library_statistics(gliders(yaw=-2.0))
+    one, other = LibraryStatistics(gliders(yaw=0.7)), LibraryStatistics(gliders(yaw=-2.0))
     np.testing.assert_allclose(one.goal_m, other.goal_m, atol=1e-9)
     np.testing.assert_allclose(one.extent_m, other.extent_m, atol=1e-9)
 
@@ -67,11 +67,11 @@ def test_a_start_that_gives_the_class_away_is_found() -> None:
     leaky = MotionLibrary(
         "leaky", tuple(sliding(m.label, m.index, 0.5, offset=0.01 * m.index + 0.2 * m.label) for m in honest)
     )
-    assert library_statistics(leaky).class_found[0] == 1.0
+    assert LibraryStatistics(leaky).class_found[0] == 1.0
     # Same starts in both classes: nothing to go by but chance, and at the turning point everything.
-    assert library_statistics(honest).class_found[0] == pytest.approx(0.5, abs=0.01)
-    assert library_statistics(honest).class_found[5] == 1.0
-    assert library_statistics(honest).chance == 0.5
+    assert LibraryStatistics(honest).class_found[0] == pytest.approx(0.5, abs=0.01)
+    assert LibraryStatistics(honest).class_found[5] == 1.0
+    assert LibraryStatistics(honest).chance == 0.5
 
 
 def test_leaving_out_rounds_keeps_chance_at_chance() -> None:
@@ -84,16 +84,16 @@ def test_leaving_out_rounds_keeps_chance_at_chance() -> None:
             for j in range(10)
             for label in range(8)
         ]
-        told.append(library_statistics(MotionLibrary("noise", tuple(motions))).class_found[0])
+        told.append(LibraryStatistics(MotionLibrary("noise", tuple(motions))).class_found[0])
     assert np.mean(told) == pytest.approx(1 / 8, abs=0.05)
 
 
 def test_unlabelled_or_single_class_libraries_are_refused() -> None:
     with pytest.raises(LibraryFormatError, match="2 classes"):
-        library_statistics(MotionLibrary("one", (sliding(0, 0, 0.5), sliding(0, 1, 0.5))))
+        LibraryStatistics(MotionLibrary("one", (sliding(0, 0, 0.5), sliding(0, 1, 0.5))))
     unlabelled = Motion(np.arange(3.0), np.tile(REST, (3, 1)), KINECT12_DOFS)
     with pytest.raises(LibraryFormatError, match="label"):
-        library_statistics(MotionLibrary("none", (*gliders(), unlabelled)))
+        LibraryStatistics(MotionLibrary("none", (*gliders(), unlabelled)))
 
 
 def test_the_comparison_is_markdown_with_aggregates_only() -> None:
@@ -115,8 +115,8 @@ def test_library_a_leaks_and_library_b_does_not() -> None:
     """Recorded class by class, library_a's start gives the class away; library_b was interleaved."""
     a = load_library(shared_data("iros2013/library_a"))
     b = clean_library(load_library(shared_data("iros2013/library_b")), drop=True)
-    assert library_statistics(a).class_found[0] > 0.4
-    found = library_statistics(b)
+    assert LibraryStatistics(a).class_found[0] > 0.4
+    found = LibraryStatistics(b)
     assert found.class_found[0] < 0.2
     assert 0.5 < found.apex_phase.p50 < 0.6
     assert 0.2 < found.goal_spacing_m.min() < found.goal_spacing_m.max() < 0.29
@@ -127,7 +127,7 @@ def test_the_shipped_library_is_labelled_synthetic_and_small() -> None:
     library = load_library(bag)
     assert (library.labels, len(library)) == (tuple(range(8)), 200)
     assert library.provenance["source"].startswith("synthetic")
-    assert library_statistics(library).class_found[0] < 0.22
+    assert LibraryStatistics(library).class_found[0] < 0.22
     assert sum(file.stat().st_size for file in (REPOSITORY / "bags").rglob("*") if file.is_file()) < 5 * 2**20
     document = (REPOSITORY / "bags" / "STATISTICS.md").read_text(encoding="utf-8")
     assert "humanpred generate" in document
@@ -137,7 +137,7 @@ def test_the_shipped_library_is_labelled_synthetic_and_small() -> None:
 def test_the_document_states_the_shipped_library_s_numbers() -> None:
     library = load_library(REPOSITORY / "bags" / "synthetic_reaches")
     document = (REPOSITORY / "bags" / "STATISTICS.md").read_text(encoding="utf-8")
-    found = library_statistics(clean_library(library, drop=True))
+    found = LibraryStatistics(clean_library(library, drop=True))
     assert f"| duration, s | {found.duration_s.text()} |" in document
     assert f"| greatest distance of the palm from rest, m | {found.reach_m.text()} |" in document
 
@@ -147,5 +147,5 @@ def test_resampling_to_phases_is_what_the_statistics_use() -> None:
     palm = HumanModel.kinect12().forward(resample_phase(motion, 101).q)["right_palm"]
     away = np.linalg.norm(palm - palm[0], axis=1)
     np.testing.assert_allclose(
-        library_statistics(MotionLibrary("two", (motion, sliding(1, 0, 0.5)))).distance_m, away[::10], atol=1e-9
+        LibraryStatistics(MotionLibrary("two", (motion, sliding(1, 0, 0.5)))).distance_m, away[::10], atol=1e-9
     )

@@ -12,8 +12,7 @@ from small_library import small_library
 
 from humanpred_ros.errors import MotionError
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.motion.placement import PELVIS_DOFS, placed, start_pelvis_m, turn_and_shift
+from humanpred_ros.motion.motion import PELVIS_DOFS, Motion, MotionLibrary, placed, start_pelvis_m, turn_and_shift
 
 HUMAN = HumanModel.kinect12()
 MOTION = small_library(1, 1, 8).motions[0]

@@ -13,7 +13,7 @@ from humanpred_ros.human.kinect import KINECT12_DOFS, KinectSkeleton
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import read_library_bag, write_library_bag
 from humanpred_ros.motion.cleaning import DROP_REASONS, flag_library, goal_m
-from humanpred_ros.motion.library_statistics import LibraryStatistics, library_statistics
+from humanpred_ros.motion.library_statistics import LibraryStatistics
 from humanpred_ros.motion.motion import SKELETON_POINTS, MotionLibrary
 from humanpred_ros.motion.synthetic import DepthCameraConfig, ReachGeneratorConfig, generate_library, table_grid
 
@@ -29,7 +29,7 @@ def library() -> MotionLibrary:
 
 @pytest.fixture(scope="module")
 def statistics(library: MotionLibrary) -> LibraryStatistics:
-    return library_statistics(library)
+    return LibraryStatistics(library)
 
 
 def same(a: MotionLibrary, b: MotionLibrary) -> bool:

@@ -8,7 +8,7 @@ import pytest
 from humanpred_ros.errors import ArrayError, SettingsError
 from humanpred_ros.human.kinect import KinectSkeleton
 from humanpred_ros.motion.motion import SKELETON_POINTS
-from humanpred_ros.motion.synthetic import DepthCamera, DepthCameraConfig, Observed, ReachGeneratorConfig
+from humanpred_ros.motion.synthetic import DepthCameraConfig, Observed, ReachGeneratorConfig, observe
 
 POINTS = KinectSkeleton().points(np.array(ReachGeneratorConfig().rest_q))
 LIMBS = np.array([name.endswith(("elbow", "hand", "knee", "foot")) for name in SKELETON_POINTS])
@@ -20,9 +20,8 @@ CLEAR = DepthCameraConfig(
 
 def watch(config: DepthCameraConfig, seconds: float = 60.0, seed: int = 0) -> Observed:
     """Watch somebody who stands still."""
-    camera = DepthCamera(config)
-    t = camera.exposures_s(seconds)
-    return camera.observe(t, np.tile(POINTS, (len(t), 1, 1)), np.random.default_rng(seed))
+    t = np.arange(int(seconds * 30) + 1) / 30
+    return observe(t, np.tile(POINTS, (len(t), 1, 1)), config, np.random.default_rng(seed))
 
 
 def test_a_clear_camera_changes_nothing_but_the_last_digits() -> None:
@@ -59,10 +58,9 @@ def test_smoothing_halves_noise_and_lags() -> None:
     # An exponential filter with factor s leaves sqrt((1 - s) / (1 + s)) of white noise.
     assert smooth.std() / rough.std() == pytest.approx(0.5, abs=0.03)
     assert smooth[0].std() / rough.std() == pytest.approx(0.5, abs=0.15)  # settled before the first frame
-    camera = DepthCamera(CLEAR.replaced(smoothing=0.6))
-    t = camera.exposures_s(1.0)
+    t = np.arange(31) / 30
     walk = POINTS + t[:, None, None] * np.array([1.0, 0.0, 0.0])
-    behind = (walk - camera.observe(t, walk, np.random.default_rng(0)).points_m)[-1, :, 0]
+    behind = (walk - observe(t, walk, CLEAR.replaced(smoothing=0.6), np.random.default_rng(0)).points_m)[-1, :, 0]
     np.testing.assert_allclose(behind, 0.6 / 0.4 / 30, atol=1e-3)  # s / (1 - s) frames at 1 m/s
 
 
@@ -101,4 +99,4 @@ def test_impossible_settings_are_refused(bad: dict[str, float]) -> None:
 
 def test_what_is_watched_must_be_known() -> None:
     with pytest.raises(ArrayError, match="points_m"):
-        DepthCamera().observe(np.zeros(2), np.full((2, 15, 3), np.nan), np.random.default_rng(0))
+        observe(np.zeros(2), np.full((2, 15, 3), np.nan), CLEAR, np.random.default_rng(0))

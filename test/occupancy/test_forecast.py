@@ -20,8 +20,7 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.motion.motion import Motion
-from humanpred_ros.motion.placement import placed, turn_and_shift
+from humanpred_ros.motion.motion import Motion, placed, turn_and_shift
 from humanpred_ros.occupancy.forecast import ForecastPredictor, ForecastSettings
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.recognition.forest import ForestSettings

@@ -16,7 +16,7 @@ from humanpred_ros.errors import HumanModelError, UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.placement import turn_and_shift
+from humanpred_ros.motion.motion import turn_and_shift
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 
 HUMAN = HumanModel.kinect12()

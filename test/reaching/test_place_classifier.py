@@ -23,8 +23,7 @@ from humanpred_ros.errors import (
 from humanpred_ros.evaluation.recognition_runs import at_speed
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.motion.placement import placed, turn_and_shift
+from humanpred_ros.motion.motion import Motion, MotionLibrary, placed, turn_and_shift
 from humanpred_ros.reaching.place_classifier import PlaceClassifier, PlaceModel, Places
 from humanpred_ros.reaching.unlisted_places import UnlistedPlaces
 from humanpred_ros.recognition.stream import StreamClassifier

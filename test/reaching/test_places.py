@@ -12,8 +12,7 @@ from small_library import REST, small_library
 from humanpred_ros.errors import ArrayError, HumanModelError, HumanPredError, LibraryFormatError, UsageError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.motion.placement import placed, turn_and_shift
+from humanpred_ros.motion.motion import MotionLibrary, placed, turn_and_shift
 from humanpred_ros.reaching.places import LEAN_M, Places, places_from_text, places_in_world, reach_ends
 from humanpred_ros.robot.scene import load_scene
 

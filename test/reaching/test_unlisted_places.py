@@ -12,7 +12,7 @@ from small_library import REST, small_library
 
 from humanpred_ros.errors import ArrayError
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.placement import turn_and_shift
+from humanpred_ros.motion.motion import turn_and_shift
 from humanpred_ros.reaching.end_postures import EndPostures
 from humanpred_ros.reaching.unlisted_places import N_PLACES, UnlistedPlaces, evenly_picked
 

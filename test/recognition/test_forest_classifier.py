@@ -15,8 +15,7 @@ from small_library import small_library
 from humanpred_ros.errors import ArrayError, HumanModelError, LibraryFormatError, MotionError, SettingsError, UsageError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.motion.motion import Motion, MotionLibrary, resample
-from humanpred_ros.motion.placement import placed
+from humanpred_ros.motion.motion import Motion, MotionLibrary, placed, resample
 from humanpred_ros.recognition.forest import ForestSettings
 from humanpred_ros.recognition.forest_classifier import ForestClassifier
 from humanpred_ros.recognition.reach_features import motion_features, point_links
