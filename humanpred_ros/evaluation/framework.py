@@ -14,7 +14,7 @@ An evaluation is one file: a class of settings, `measure`, and `run`, which the 
             list(zip(library, speeds)),
             (
                 Column("motion", lambda record: record[0].name),
-                Column("palm speed", lambda record: record[1], ".2f", "m/s"),
+                Column("palm speed", "1", ".2f", "m/s"),
             ),
         )
         figures = {"library": library_facts(library), "speed_mps": speeds}
@@ -32,10 +32,9 @@ from __future__ import annotations
 import math
 import textwrap
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
@@ -125,15 +124,28 @@ class Column:
 
     Attributes:
         title: of the figure, without its unit.
-        of: returns the figure of a record; None where the record has none.
+        of: where the figure stands in a record, as keys and numbers with / between ("timing/update_us", also its place
+            in the JSON file); or what returns it. None where a record has none.
         spec: format of numbers, as in ".3f"; with % at its end, as in ".1%", shares are shown in percent.
         unit: of the figure, "" if it has none.
+        factor: by which it is multiplied.
     """
 
     title: str
-    of: Callable[[Any], Any]
+    of: str | Callable[[Any], Any]
     spec: str = ""
     unit: str = ""
+    factor: float = 1.0
+
+    def value(self, record: Any) -> Any:
+        """Return the figure of a record, None if it has none."""
+        if not isinstance(self.of, str):
+            return self.of(record)
+        for key in self.of.split("/"):
+            if record is None:
+                return None
+            record = record[key] if isinstance(record, Mapping) else record[int(key)]
+        return record if record is None or self.factor == 1.0 else self.factor * record
 
     @property
     def head(self) -> str:
@@ -142,7 +154,7 @@ class Column:
 
     def text(self, record: Any) -> str:
         """Return the figure of a record as it is shown."""
-        value = self.of(record)
+        value = self.value(record)
         if value is None or (isinstance(value, float) and math.isnan(value)):
             return _MISSING
         if isinstance(value, bool):
@@ -171,8 +183,8 @@ class Table:
         cls, title: str, heads: Sequence[str | tuple[str, ...]], rows: Iterable[Sequence[Any]], note: str = ""
     ) -> Table:
         """Return a table of plain rows; a head is a title, or (title, spec) or (title, spec, unit) as in `Column`."""
-        full = [(head,) if isinstance(head, str) else head for head in heads]
-        columns = [Column(head[0], itemgetter(k), *head[1:]) for k, head in enumerate(full)]
+        full: list[tuple[Any, ...]] = [(head,) if isinstance(head, str) else head for head in heads]
+        columns = [Column(head[0], str(k), *head[1:]) for k, head in enumerate(full)]
         return cls(title, list(rows), columns, note)
 
 
@@ -309,7 +321,7 @@ def _csv_rows(report: Report) -> Iterator[tuple[str, Any, str, str, Any]]:
         name, *figures = table.columns
         for record in table.records:
             for column in figures:
-                yield table.title, name.of(record), column.title.strip(), column.unit, column.of(record)
+                yield table.title, name.value(record), column.title.strip(), column.unit, column.value(record)
 
 
 def _say(console: Console, text: str, style: str | None = None) -> None:

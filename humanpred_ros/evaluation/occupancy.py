@@ -15,11 +15,14 @@ when somebody reaches for what no scene lists.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+import time
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 
 from humanpred_ros import plugins
@@ -27,40 +30,46 @@ from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.framework import (
     Advance,
     Begin,
-    Column,
     LibrarySettings,
     Report,
-    Table,
     chosen_names,
     present,
 )
 from humanpred_ros.evaluation.leave_one_out import (
     LEARNS_CLASSES,
     LEARNS_FROM_OTHERS,
+    LeaveOneOut,
     Needs,
+    UpdateLog,
+    answers,
     check_needs,
-    learned_from_class,
 )
-from humanpred_ros.evaluation.occupancy_runs import (
+from humanpred_ros.evaluation.occupancy_report import Moment, report_of
+from humanpred_ros.evaluation.occupancy_scores import (
+    LOG_CLIP,
+    MISSED_BELOW,
     P1_RESOLUTION_M,
-    LeftOutMotions,
-    OccupancySetup,
+    Played,
     grid_around,
+    predictor_figures,
+    reliability,
     swept_region,
+    voxel_scores,
 )
-from humanpred_ros.evaluation.occupancy_scores import LOG_CLIP, MISSED_BELOW, PredictorResult, VoxelFigures
 from humanpred_ros.evaluation.outputs import library_facts
 from humanpred_ros.evaluation.parallel import map_processes
-from humanpred_ros.evaluation.plots import Moment, occupancy_plot
+from humanpred_ros.evaluation.recognition_scores import percent_indices
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel, human_with
 from humanpred_ros.motion.cleaning import DROP_REASONS, flag_library
-from humanpred_ros.motion.motion import MotionLibrary, placed, start_pelvis_m, turn_and_shift
-from humanpred_ros.occupancy.predictor import predictor_type
+from humanpred_ros.motion.motion import Motion, MotionLibrary, placed, start_pelvis_m, turn_and_shift
+from humanpred_ros.occupancy.predictor import Predictor, predictor_type
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
+from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
 from humanpred_ros.recognition.classifier import check_trainable
 from humanpred_ros.recognition.gmm_classifier import GmmSettings
+from humanpred_ros.recognition.training import REACHING_LINK
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.settings import setting, setting_of
 
@@ -120,67 +129,125 @@ class OccupancySettings(LibrarySettings):
 
 
 @dataclass(frozen=True, eq=False)
-class OccupancyEvaluation:
-    """What was found on one library.
+class LeftOutMotions:
+    """Shows one motion at a time to predictors that have not learned from it; called with its name.
+
+    Can be sent to other processes; what is learned from all motions is made there, once.
 
     Attributes:
-        library: facts about it.
-        setup: how predictions were made and scored.
-        percents: of a motion after which predictions were scored.
-        tested, mistracked: names of the motions tested, and of those among them that are plainly mistracked.
-        predictors: side by side.
+        settings: how.
+        library: of which motions are tested.
+        learned_from: the motions that may be learned from.
+        human: whose body occupies.
+        grid: the lattice, world frame.
+        T_world_human: (4, 4) from the library's frame to the world.
+        T_shift: (4, 4) moves the people of the test motions, in the library's frame; training motions stay.
+        region: (V,) flat booleans, the voxels over which scores are means.
+        picture: (motion, percent) of which a picture is wanted.
     """
 
-    library: Mapping[str, Any]
-    setup: OccupancySetup
-    percents: tuple[int, ...]
-    tested: tuple[str, ...]
-    mistracked: tuple[str, ...]
-    predictors: tuple[PredictorResult, ...]
+    settings: OccupancySettings
+    library: MotionLibrary
+    learned_from: MotionLibrary
+    human: HumanModel
+    grid: VoxelGrid
+    T_world_human: FloatArray
+    T_shift: FloatArray
+    region: NDArray[np.bool_]
+    picture: tuple[str, int]
 
-    @property
-    def region_voxels(self) -> int:
-        """Size of the region over which scores are means."""
-        return int(self.setup.region.sum())
+    def __call__(self, name: str) -> list[tuple[Played, Played | None, float]]:
+        """Run one motion. Raises what training raises.
 
-    @property
-    def unseen_beside_seen(self) -> float | None:
-        """Brier score of `reaching`, which has not seen the class, over that of `swept_volume`, which has learned it.
-
-        None unless both are there.
+        Returns:
+            For each predictor what it made of the motion; the same without the motion's place on its list, None of
+            predictors that are not given places, or if no place would be left; and the seconds it took to train.
         """
-        brier = {result.name: float(result.average.brier) for result in self.predictors}
-        unseen, seen = brier.get("reaching"), brier.get("swept_volume")
-        return unseen / seen if unseen is not None and seen else None
+        motion = self.library.find(name)
+        q, t_s = until_end(placed(motion, self.T_shift), self.human, self.settings.until)
+        last_touch = self._voxeliser.last_touch(q).ravel()
+        found = []
+        for fold in self._folds:
+            begun = time.perf_counter()
+            predictor = fold.without(name)
+            prepare_s = time.perf_counter() - begun
+            listed = self._play(predictor, name, q, t_s, last_touch)
+            unlisted = None
+            if _forget_place(predictor, motion.label):
+                unlisted = self._play(predictor, name, q, t_s, last_touch)
+            found.append((listed, unlisted, prepare_s))
+        return found
 
-    def figures(self) -> dict[str, Any]:
-        """Return everything but the pictures, for the JSON file."""
-        return {
-            "library": self.library,
-            "lattice": self.setup.grid,
-            "T_world_human": self.setup.T_world_human,
-            "T_shift": self.setup.T_shift,
-            "log_clip": LOG_CLIP,
-            "missed_below": MISSED_BELOW,
-            "picture": self.setup.picture[0],
-            "percents": self.percents,
-            "tested": self.tested,
-            "mistracked": self.mistracked,
-            "region_voxels": self.region_voxels,
-            "predictors": [result.figures() for result in self.predictors],
-            "unseen_beside_seen": self.unseen_beside_seen,
-        }
+    def _play(
+        self, predictor: Predictor, name: str, q: FloatArray, t_s: FloatArray, last_touch: NDArray[np.int32]
+    ) -> Played:
+        """Show a motion to a predictor and score what it said on the way; nothing, until it accepts a posture."""
+        percents = self.settings.percents
+        seen = percent_indices(len(q))[np.array(percents) - 1].tolist()
+        n_shown, log, table, picture = max(seen) + 1, UpdateLog(), np.zeros(1), None
+        scores: dict[int, dict[str, float]] = {}
+        for k, said in enumerate(answers(predictor, q[:n_shown], t_s[:n_shown], log)):
+            if k not in seen:
+                continue
+            predicted = np.zeros(self.grid.size) if said is None else said.occupancy.probability.ravel()
+            # The posture seen last is part of what is still to be swept: the body is there now.
+            swept = last_touch >= k
+            scores[k] = voxel_scores(predicted, swept, self.region)
+            table = table + seen.count(k) * reliability(predicted, swept, self.region)
+            if self.picture[0] == name and k == seen[percents.index(self.picture[1])]:
+                volumes = np.array([swept, predicted], dtype=np.float32)
+                picture = volumes.reshape(2, *self.grid.shape).max(axis=3)
+        return Played([scores[k] for k in seen], table, log, picture)
+
+    @cached_property
+    def _voxeliser(self) -> BodyVoxeliser:
+        return BodyVoxeliser(self.human, self.grid, self.T_world_human)
+
+    @cached_property
+    def _folds(self) -> list[LeaveOneOut]:
+        s = self.settings
+        space = self.human, self.grid, self.T_world_human
+        return [
+            LeaveOneOut(name, self.learned_from, *space, s.classifier, s.gmm, self.T_shift) for name in s.predictors
+        ]
+
+
+def until_end(motion: Motion, human: HumanModel, until: str) -> tuple[FloatArray, FloatArray]:
+    """Return postures (T, D) and stamps (T,) of a motion up to where it is taken to end: `end` or `apex`."""
+    n = len(motion)
+    if until == "apex":
+        palm = human.forward(motion.q)[REACHING_LINK]
+        n = int(np.argmax(np.linalg.norm(palm - palm[0], axis=1))) + 1
+    return motion.q[:n], motion.t_s[:n]
+
+
+def _forget_place(predictor: Predictor, label: int | None) -> bool:
+    """Take one place away from a predictor that is given places; return whether it had that one and others."""
+    if not isinstance(predictor, ReachingPredictor):
+        return False
+    places = predictor.places
+    if label is None or label not in places or len(places) < 2:
+        return False
+    predictor.set_places({other: place for other, place in places.items() if other != label})
+    return True
 
 
 def evaluate_occupancy(
     library: MotionLibrary, settings: OccupancySettings, progress: Advance | None = None
-) -> OccupancyEvaluation:
+) -> tuple[dict[str, Any], Moment | None]:
     """Leave out each tested motion in turn and score what the predictors say while it is shown to them.
 
     Args:
         library: of P1's 12-DoF human or of P2's 23-DoF one.
         settings: how; its library is not read.
         progress: is called with the number of motions done, of `tested_motions`.
+
+    Returns:
+        The figures, as in the JSON file, and a moment of one motion to draw. Of each of the `predictors` there are
+        `average` (over motions and percents) and `at_percent` (over motions) of the scores of `voxel_scores`,
+        `without_mistracked` (the average without test motions that the tracker plainly got wrong; None if there are
+        none), `unlisted` and `unlisted_at_percent` (of a predictor that is given places, without the tested motion's),
+        `motions` (two scores of each), `calibration` of all predictions, `timing` and `refused_postures`.
 
     Raises:
         LibraryFormatError: a library that a predictor cannot learn from.
@@ -189,57 +256,58 @@ def evaluate_occupancy(
     human = human_with(library.dof_names)
     tested = tested_motions(library, settings.every)
     flags = [flag for flag in flag_library(library, model=human) if flag.reason in DROP_REASONS]
-    wrong = frozenset(flag.motion for flag in flags)
+    wrong = {flag.motion for flag in flags}
     mistracked = tuple(name for name in tested if name in wrong)
     learned_from = library.select(lambda m: m.name not in wrong) if settings.clean_training else library
-    _check_leave_one_out(learned_from, settings.predictors)
+    needs = {name: _needs_of(name) for name in settings.predictors}
+    check_needs(learned_from, needs, "--predictor")
+    if any(need is not None for need in needs.values()):
+        check_trainable(learned_from)
     grid, T_world_human = _space(library, settings, human, {flag.motion for flag in flags if flag.reason == "wild"})
     dx, dy, turn_deg = settings.shift
     T_shift = turn_and_shift(math.radians(turn_deg), (dx, dy, 0.0), start_pelvis_m(library))
     moved = MotionLibrary(library.name, tuple(placed(motion, T_shift) for motion in library))
     region = swept_region(moved, BodyVoxeliser(human, grid, T_world_human), settings.margin_voxels)
-    setup = OccupancySetup(
-        human,
-        grid,
-        T_world_human,
-        region.ravel(),
-        settings.percents,
-        settings.until,
-        T_shift,
-        settings.classifier,
-        settings.gmm,
-        wrong if settings.clean_training else frozenset(),
-        _picture(library, tested, mistracked, settings),
-    )
-    runs = LeftOutMotions(settings.predictors, library, setup)
+    drawn = _picture(library, tested, mistracked, settings)
+    runs = LeftOutMotions(settings, library, learned_from, human, grid, T_world_human, T_shift, region.ravel(), drawn)
     outcomes = map_processes(runs, tested, settings.jobs, progress, settings.scheduler)
-    results = tuple(
-        PredictorResult.of(
-            name,
-            plugins.describe(plugins.PREDICTORS, name),
-            learned_from_class(name),
-            [motion[k] for motion in outcomes],
-            frozenset(mistracked),
-        )
-        for k, name in enumerate(settings.predictors)
-    )
-    return OccupancyEvaluation(
-        library_facts(library, by_class=True), setup, settings.percents, tested, mistracked, results
-    )
+    results, above = [], {}
+    for k, name in enumerate(settings.predictors):
+        found = {motion: outcome[k] for motion, outcome in zip(tested, outcomes, strict=True)}
+        results.append(predictor_figures(name, found, mistracked))
+        picture = found[drawn[0]][0].picture
+        if picture is not None:
+            above[name] = picture
+    figures = {
+        "library": library_facts(library, by_class=True),
+        "lattice": grid,
+        "T_world_human": T_world_human,
+        "T_shift": T_shift,
+        "log_clip": LOG_CLIP,
+        "missed_below": MISSED_BELOW,
+        "picture": drawn[0],
+        "percents": settings.percents,
+        "tested": tested,
+        "mistracked": mistracked,
+        "region_voxels": int(region.sum()),
+        "predictors": results,
+        "unseen_beside_seen": _unseen_beside_seen(results),
+    }
+    title = f"motion {drawn[0]}, {drawn[1]} % seen, from above:"
+    return figures, Moment(title, above, grid) if above else None
+
+
+def _unseen_beside_seen(results: Sequence[dict[str, Any]]) -> float | None:
+    """Return the Brier score of `reaching`, which has not seen the class, over that of `swept_volume`, which has."""
+    brier = {result["name"]: result["average"]["brier"] for result in results}
+    both = "reaching" in brier and brier.get("swept_volume")
+    return brier["reaching"] / brier["swept_volume"] if both else None
 
 
 def tested_motions(library: MotionLibrary, every: int) -> tuple[str, ...]:
     """Return the names of the motions that are tested: each of `every`, by class and index."""
     ordered = sorted(library, key=lambda motion: (-1 if motion.label is None else motion.label, motion.index))
     return tuple(motion.name for motion in ordered[::every])
-
-
-def _check_leave_one_out(library: MotionLibrary, predictors: Sequence[str]) -> None:
-    """Raise LibraryFormatError unless each of the predictors can learn without any one motion."""
-    needs = {name: _needs_of(name) for name in predictors}
-    check_needs(library, needs, "--predictor")
-    if any(need is not None for need in needs.values()):
-        check_trainable(library)
 
 
 def _needs_of(predictor: str) -> Needs | None:
@@ -283,90 +351,9 @@ def measure(settings: OccupancySettings, begin: Begin) -> Report:
     """
     library = settings.read_library()
     advance = begin("motions", len(tested_motions(library, settings.every)))
-    return report_of(evaluate_occupancy(library, settings, advance))
+    return report_of(*evaluate_occupancy(library, settings, advance))
 
 
 def run(settings: OccupancySettings, console: Console) -> int:
     """Evaluate, print, write; return the exit status."""
     return present(settings, console, measure)
-
-
-def report_of(evaluation: OccupancyEvaluation) -> Report:
-    """Return averages of every predictor, and errors along the motion."""
-    setup, results = evaluation.setup, evaluation.predictors
-    picture = results[0].picture
-    moment = None
-    if picture is not None:
-        title = f"motion {setup.picture[0]}, {picture.percent} % seen, from above:"
-        moment = Moment(title, picture.swept, setup.grid.origin_m, setup.grid.resolution_m)
-    return Report(
-        f"{evaluation.library['name']}: {len(evaluation.tested)} of {evaluation.library['n_motions']} motions left out "
-        f"in turn; averages over {len(evaluation.percents)} parts seen, means over {evaluation.region_voxels} voxels",
-        (
-            Table("", results, tuple(_columns()), _note(evaluation)),
-            _by_percent(evaluation, "Brier score x 1000 by % seen", ".2f", lambda f: 1e3 * f.brier),
-            _by_percent(evaluation, "swept voxels given < 1 %, by % seen", ".1%", lambda f: f.missed),
-        ),
-        evaluation.figures(),
-        draw=lambda: occupancy_plot(evaluation.percents, results, moment),
-    )
-
-
-def _columns() -> list[Column]:
-    def of(name: str, factor: float = 1.0, among: str = "average") -> Callable[[PredictorResult], float | None]:
-        """Return what gives one of a predictor's average figures, times a factor."""
-
-        def figure(result: PredictorResult) -> float | None:
-            figures: VoxelFigures | None = getattr(result, among)
-            return None if figures is None else factor * float(getattr(figures, name))
-
-        return figure
-
-    return [
-        Column("predictor", lambda r: r.name),
-        Column("learned from the tested class", lambda r: r.learned_from_class),
-        Column("Brier score x 1000", of("brier", 1e3), ".2f"),
-        Column("  as a sum over voxels", of("squared_error"), ".0f"),
-        Column("  without mistracked motions x 1000", of("brier", 1e3, "without_mistracked"), ".2f"),
-        Column("  its place not listed x 1000", of("brier", 1e3, "unlisted"), ".2f"),
-        Column("log score x 1000", of("log_loss", 1e3), ".1f"),
-        Column("area under precision-recall", of("average_precision"), ".3f"),
-        Column("swept voxels given < 1 %", of("missed"), ".1%"),
-        Column("  without mistracked motions", of("missed", 1.0, "without_mistracked"), ".1%"),
-        Column("  its place not listed", of("missed", 1.0, "unlisted"), ".1%"),
-        Column("calibration error, voxels given >= 1 %", lambda r: r.calibration.error_predicted, ".3f"),
-        Column("voxels expected", of("n_predicted"), ".0f"),
-        Column("voxels swept", of("n_swept"), ".0f"),
-        Column("one update", lambda r: r.timing.median_ms, ".2f", "ms"),
-        Column("  99 % below", lambda r: r.timing.p99_ms, ".2f", "ms"),
-        Column("training without one motion", lambda r: r.timing.prepare_s, ".2f", "s"),
-        Column("postures refused", lambda r: r.refused_postures),
-    ]
-
-
-def _note(evaluation: OccupancyEvaluation) -> str:
-    """Return how to read predictors that have not seen the class beside others that have learned it."""
-    if all(result.name != "reaching" for result in evaluation.predictors):
-        return ""
-    text = (
-        "reaching (P2) has learned from no motion of the tested motion's class; it knows the places of all classes, "
-        "that of the tested one from the class's other motions. Its place not listed: it knows all places but that "
-        "one, so that the reach goes to none of them."
-    )
-    if evaluation.unseen_beside_seen is not None:
-        text += (
-            f" Its Brier score is {evaluation.unseen_beside_seen:.2f} times that of swept_volume (P1), which was "
-            "trained with the class."
-        )
-    return text
-
-
-def _by_percent(
-    evaluation: OccupancyEvaluation, title: str, spec: str, values: Callable[[VoxelFigures], FloatArray]
-) -> Table:
-    rows: list[tuple[Any, ...]] = []
-    for result in evaluation.predictors:
-        rows.append((result.name, *values(result.at_percent).tolist()))
-        if result.unlisted_at_percent is not None:
-            rows.append((f"{result.name}, place not listed", *values(result.unlisted_at_percent).tolist()))
-    return Table.of_rows(title, ("predictor", *((str(percent), spec) for percent in evaluation.percents)), rows)

@@ -20,7 +20,7 @@ from rich.console import Console
 from humanpred_ros import plugins
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.framework import Begin, Column, LibrarySettings, OutputSettings, Report, Table, present
-from humanpred_ros.evaluation.occupancy_runs import P1_RESOLUTION_M
+from humanpred_ros.evaluation.occupancy_scores import P1_RESOLUTION_M
 from humanpred_ros.evaluation.predictor_bench_node import TOLD, People, measure_node
 from humanpred_ros.evaluation.timing import MachineLoad, Spread, growth_plot
 from humanpred_ros.geometry.checks import FloatArray

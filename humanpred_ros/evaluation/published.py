@@ -4,37 +4,25 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.recognition_scores import PERCENTS, CurveFigures, curve_figures
-from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.evaluation.recognition_scores import PERCENTS, curve_figures
 
 #: Where the papers' data folder keeps them, relative to a library in it.
 REFERENCE_BESIDE_LIBRARY = Path("reference") / "authors_fig6_curve.csv"
 ADVICE_BESIDE_LIBRARY = "outliers.csv"
 
 
-@dataclass(frozen=True)
-class ReferenceCurve:
-    """A published recognition curve.
-
-    Attributes:
-        source: name of the file.
-        rate: (100,) share of motions recognised at each percent.
-        figures: of the curve.
-    """
-
-    source: str
-    rate: FloatArray
-    figures: CurveFigures
-
-
-def read_reference(path: str | Path) -> ReferenceCurve:
+def read_reference(path: str | Path) -> dict[str, Any]:
     """Return the curve of a CSV file with the columns phase_percent (1 to 100) and recognition_rate (0 to 1).
+
+    Returns:
+        `source`, the name of the file; `rate`, (100,) the share of motions recognised at each percent; `figures` of
+        the curve (`curve_figures`).
 
     Raises:
         UsageError: no such file, or other content.
@@ -53,10 +41,10 @@ def read_reference(path: str | Path) -> ReferenceCurve:
             f"{path}: wanted the percents 1 to 100 in order, each with a rate of 0 to 1, got {len(percents)} rows; "
             "complete it or give another file"
         )
-    return ReferenceCurve(path.name, rate, curve_figures(rate))
+    return {"source": path.name, "rate": rate, "figures": curve_figures(rate)}
 
 
-def reference_beside(library: Path) -> ReferenceCurve | None:
+def reference_beside(library: Path) -> dict[str, Any] | None:
     """Return the published curve that lies beside a library, None if there is none."""
     path = library.resolve().parent / REFERENCE_BESIDE_LIBRARY
     return read_reference(path) if path.exists() else None

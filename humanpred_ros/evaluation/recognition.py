@@ -9,72 +9,86 @@ left out, it does not know the place either.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import Any, Literal
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from rich.console import Console
 
-from humanpred_ros.evaluation.framework import (
-    Advance,
-    Begin,
-    Column,
-    LibrarySettings,
-    Report,
-    Table,
-    chosen_names,
-    present,
+from humanpred_ros import plugins
+from humanpred_ros.evaluation.framework import Advance, Begin, LibrarySettings, Report, chosen_names, present
+from humanpred_ros.evaluation.leave_one_out import (
+    LEARNS_CLASSES,
+    LEARNS_FROM_OTHERS,
+    Needs,
+    UpdateLog,
+    answers,
+    at_speed,
+    check_needs,
+    fitted_without,
 )
-from humanpred_ros.evaluation.leave_one_out import check_needs
 from humanpred_ros.evaluation.outputs import library_facts
 from humanpred_ros.evaluation.parallel import map_processes
-from humanpred_ros.evaluation.plots import recognition_plot
-from humanpred_ros.evaluation.published import ReferenceCurve, advice_beside, read_reference, reference_beside
-from humanpred_ros.evaluation.recognition_runs import (
-    REACHING,
-    ClassifierChoice,
-    LeftOutClass,
-    LeftOutRuns,
-    Outcome,
-    Trace,
-    evaluated_names,
-    evaluated_type,
-    learned_of_class,
-    needs_of,
-    tasks_for,
-    unknown_left_out,
-)
+from humanpred_ros.evaluation.published import advice_beside, read_reference, reference_beside
+from humanpred_ros.evaluation.recognition_report import recognition_plot, recognition_tables
 from humanpred_ros.evaluation.recognition_scores import (
-    REFUSAL_THRESHOLD,
     BoolArray,
-    ClassifierResult,
-    CurveFigures,
-    GroupScore,
-    IntArray,
-    SpeedScore,
-    Timing,
     brier_score,
     calibration,
     confusion,
     curve_figures,
     decided_right,
     log_loss,
+    percent_indices,
     quartiles,
-    rms_difference,
     unknown_score,
     worst_drop,
 )
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.plugins import DEFAULT_CLASSIFIER
+from humanpred_ros.human.model import HumanModel, human_with
+from humanpred_ros.motion.motion import Motion, MotionLibrary
+from humanpred_ros.reaching.place_classifier import PlaceClassifier
+from humanpred_ros.recognition.classifier import Classifier, ClassPosterior, classifier_type
 from humanpred_ros.recognition.gmm_classifier import GmmSettings
-from humanpred_ros.settings import setting, setting_of
+from humanpred_ros.settings import Settings, setting, setting_of
 
+#: Infers to which of the classes' places a reach goes; evaluated beside the classifiers.
+REACHING = "reaching"
+#: With one of three classes left out, two are left: the least that can be told apart.
+LEAST_CLASSES_FOR_UNKNOWN = 3
 #: The least probabilities counted in a log-loss: scikit-learn's old default, and one at which a few motions that are
 #: given up for certain do not drown all others.
 LOG_LOSS_CLIPS = (1e-15, 1e-3)
 _UNKNOWN_AT = (10, 30, 60, 90)
+
+
+def evaluated_names() -> tuple[str, ...]:
+    """Return the names of what can be evaluated: the installed classifiers, and `REACHING`."""
+    return (*plugins.names(plugins.CLASSIFIERS), REACHING)
+
+
+def needs_of(name: str) -> Needs:
+    """Return what a library must have for a classifier to be tested on motions left out of it."""
+    return LEARNS_FROM_OTHERS if name == REACHING else LEARNS_CLASSES
+
+
+class ClassifierChoice(NamedTuple):
+    """A classifier to evaluate: its name, and its settings; None for the default ones."""
+
+    name: str
+    settings: Settings | None = None
+
+    @property
+    def kind(self) -> type[Classifier]:
+        """Its class. Raises UsageError for an unknown name."""
+        return PlaceClassifier if self.name == REACHING else classifier_type(self.name)
+
+    def make(self, human: HumanModel) -> Classifier:
+        """Return a new classifier to be fitted. Raises UsageError for an unknown name, or settings of another."""
+        return self.kind(human) if self.settings is None else self.kind(human, self.settings)
 
 
 class RecognitionSettings(LibrarySettings):
@@ -117,11 +131,108 @@ class RecognitionSettings(LibrarySettings):
         }
         choices = []
         for name in chosen_names(self.classifier, evaluated_names(), "classifier"):
-            kind = evaluated_type(name).settings_type
+            kind = ClassifierChoice(name).kind.settings_type
             values: dict[str, Any] = {"seed": self.seed} if "seed" in kind.model_fields else {}
             values.update(gmm if name == "gmm" else {})
             choices.append(ClassifierChoice(name, kind(**values) if values else None))
         return tuple(choices)
+
+
+class Trace(NamedTuple):
+    """What a classifier said while one motion was shown to it.
+
+    Attributes:
+        known: (100, C) at each percent, the probabilities given that the motion belongs to a class it learned.
+        unknown: (100,) the probability of no class.
+        log: of the updates.
+    """
+
+    known: FloatArray
+    unknown: FloatArray
+    log: UpdateLog
+
+
+def play(classifier: Classifier, motion: Motion, labels: Sequence[int]) -> Trace:
+    """Show a motion to a copy of a classifier and return what it said.
+
+    A copy, because what a classifier keeps from one motion to the next, such as where the person stands, must not come
+    from a motion it is tested on. Until the first posture it accepts, all `labels`, the classes it learned, are equal.
+    """
+    log = UpdateLog()
+    said = list(answers(deepcopy(classifier), motion.q, motion.t_s, log))
+    seen: list[ClassPosterior | None] = [said[k] for k in percent_indices(len(motion))]
+    unknown = np.array([0.0 if posterior is None else posterior.unknown for posterior in seen])
+    return Trace(np.array([given_known(posterior, labels) for posterior in seen]), unknown, log)
+
+
+def given_known(posterior: ClassPosterior | None, labels: Sequence[int]) -> FloatArray:
+    """Return (C,) the probabilities of the labels if the motion is of one of them; all equal if nothing was said."""
+    if posterior is None:
+        return np.full(len(labels), 1.0 / len(labels))
+    return posterior.given_known[[posterior.labels.index(label) for label in labels]]
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOutRuns:
+    """Runs tasks; the classifier fitted to the whole library is made once in each process.
+
+    A task is "motion 3/7" (learn without this motion, then recognise it) or "class 3" (learn without this class, then
+    see what is said about its motions).
+
+    Attributes:
+        choice: the classifier.
+        library: of which motions and classes are left out.
+        speeds: at which motions are played besides the recorded one, as factors of it.
+    """
+
+    choice: ClassifierChoice
+    library: MotionLibrary
+    speeds: tuple[float, ...] = ()
+
+    def __call__(self, task: str) -> tuple[list[Trace], float | None, float]:
+        """Run one task. Raises what the classifier's fit raises.
+
+        Returns:
+            The traces of a left-out motion, as recorded and at each further speed, or of each motion of a left-out
+            class; the seconds that fitting the whole library took, None if it was fitted before; processor time in s.
+        """
+        kind, name = task.split()
+        new = kind == "motion" and "_fitted" not in self.__dict__
+        begun = time.process_time()
+        if kind == "motion":
+            whole, fit_s = self._fitted
+            motion, classifier = self.library.find(name), fitted_without(whole, self.library, name)
+            shown, labels = [motion, *(at_speed(motion, speed) for speed in self.speeds)], self.library.labels
+        else:
+            rest, fit_s = self.library.select(lambda motion: motion.label != int(name)), 0.0
+            classifier, labels = self.choice.make(human_with(rest.dof_names)).fit(rest), rest.labels
+            shown = list(self.library.of_class(int(name)))
+        traces = [play(classifier, motion, labels) for motion in shown]
+        return traces, fit_s if new else None, time.process_time() - begun
+
+    @cached_property
+    def _fitted(self) -> tuple[Classifier, float]:
+        """The classifier that learned from all motions, and how many seconds that took."""
+        classifier = self.choice.make(human_with(self.library.dof_names))
+        begun = time.perf_counter()
+        return classifier.fit(self.library), time.perf_counter() - begun
+
+
+def tasks_for(library: MotionLibrary, with_unknown: bool) -> list[str]:
+    """Return the tasks of `LeftOutRuns`, the long ones first, motions in the order of the library."""
+    leave_classes_out = with_unknown and unknown_left_out(library) is None
+    return [f"class {label}" for label in library.labels if leave_classes_out] + [f"motion {m.name}" for m in library]
+
+
+def unknown_left_out(library: MotionLibrary) -> str | None:
+    """Return why no class of a library can be left out as a whole, in words; None if each can."""
+    n = len(library.labels)
+    if n >= LEAST_CLASSES_FOR_UNKNOWN:
+        return None
+    return (
+        f"leaving out a whole class takes at least {LEAST_CLASSES_FOR_UNKNOWN}, so that two are left to tell apart; "
+        f"{library.name} has {n}"
+    )
 
 
 def evaluate_classifier(
@@ -129,20 +240,40 @@ def evaluate_classifier(
     library: MotionLibrary,
     settings: RecognitionSettings,
     *,
-    reference: ReferenceCurve | None = None,
+    reference: Mapping[str, Any] | None = None,
     advice: Mapping[str, str] | None = None,
     progress: Advance | None = None,
-) -> ClassifierResult:
+) -> dict[str, Any]:
     """Leave out each motion, and each class, in turn; return what the classifier said about them as figures.
 
     Args:
         choice: the classifier.
         library: all of it is evaluated.
         settings: speeds, seed, and how the work is done.
-        reference: a published curve to compare with.
+        reference: a published curve to compare with (`read_reference`).
         advice: by motion, what somebody advised to do about it ("exclude", "suspect", "keep"). All motions count
             all the same; figures without those to exclude, and without the suspect ones too, are given beside.
         progress: is called with the number of tasks done, of `tasks_for`.
+
+    Returns:
+        Figures by name, as in the JSON file. All but `speeds` and `unknown` are at the recorded speed.
+
+        - `name`, `settings`: of the classifier; `learned_of_class`: what it knew of the tested motion's class;
+        - `rate`: (100,) share of motions whose true class alone is the most probable, after each percent of postures;
+          `figures` of that curve (`curve_figures`); `reference_rms`: root mean square difference to the published one;
+        - `log_loss`: mean over motions and percents of -ln of the true class's probability, given that the motion is
+          of some class, by the least probability counted ("clip"); `log_loss_curve`: (100,) per percent, for the larger
+          clip; `brier`, `brier_curve`: mean squared distance of posterior and truth, 0 to 2;
+        - `calibration` of the probability of the most probable class, given that the motion is of some class;
+          `calibration_with_unknown`: without that condition, so that a probability of no class lowers it;
+        - `confusion_at_60`: (C, C + 1) true class by decision, undecided last, in the order of the labels;
+        - `unknown_on_known`: mean probability of no class on motions of known classes, by percent;
+          `unknown_quartiles`: (3, 100) its quartiles; `unknown`: the same on motions of classes never learned
+          (`unknown_score`), None if not asked for, or with too few classes;
+        - `speeds`: the `rate` at each further `speed`, and by how many percentage points it is lower at worst, beyond
+          40 % of the motion, and at which percent; `groups`: curve figures of the motions that are flagged, or not;
+        - `refused_postures`, and `timing`: median time to learn the whole library (`fit_s`, of `n_fits`) and of one
+          update, 99 % quantile of that, duration of this evaluation, and processor time of all processes.
 
     Raises:
         LibraryFormatError: too few classes or motions for this classifier, or what the classifier cannot learn.
@@ -154,54 +285,58 @@ def evaluate_classifier(
     runs = LeftOutRuns(choice, library, settings.further_speeds)
     outcomes = map_processes(runs, tasks, settings.jobs, progress, settings.scheduler)
     n_classes = len(tasks) - len(library)
-    motions, classes = outcomes[n_classes:], outcomes[:n_classes]
+    motions = [traces for traces, _, _ in outcomes[n_classes:]]
     truth = np.array([library.labels.index(motion.label) for motion in library if motion.label is not None])
-    recorded = [outcome.traces[0] for outcome in motions]
-    known, unknown = np.stack([t.known for t in recorded]), np.stack([t.unknown for t in recorded])
+    known, unknown = np.stack([t[0].known for t in motions]), np.stack([t[0].unknown for t in motions])
     right = decided_right(known, truth)
     rate = right.mean(axis=0)
     losses = {f"{clip:g}": log_loss(known, truth, clip) for clip in LOG_LOSS_CLIPS}
     brier = brier_score(known, truth)
     rng = np.random.default_rng(settings.seed)
     confidence = known.max(axis=2)
+    speeds = []
+    for k, speed in enumerate(settings.further_speeds, start=1):
+        at = decided_right(np.stack([traces[k].known for traces in motions]), truth).mean(axis=0)
+        points, percent = worst_drop(rate, at)
+        speeds.append({"speed": speed, "rate": at, "worst_drop_points": points, "worst_drop_percent": percent})
     unknown_by_class = {
-        task.label: np.stack([trace.unknown for trace in outcome.traces])
-        for task, outcome in zip(tasks, classes, strict=False)
-        if isinstance(task, LeftOutClass)
+        label: np.stack([trace.unknown for trace in traces])
+        for label, (traces, _, _) in zip(library.labels, outcomes[:n_classes], strict=False)
     }
-    return ClassifierResult(
-        name=choice.name,
-        settings={} if choice.settings is None else choice.settings.model_dump(),
-        learned_of_class=learned_of_class(choice.name),
-        rate=rate,
-        figures=curve_figures(rate),
-        reference_rms=None if reference is None else rms_difference(rate, reference.rate),
-        log_loss={clip: float(loss.mean()) for clip, loss in losses.items()},
-        log_loss_curve=losses[f"{max(LOG_LOSS_CLIPS):g}"],
-        brier=float(brier.mean()),
-        brier_curve=brier,
-        calibration=calibration(confidence, right, rng),
-        calibration_with_unknown=calibration(confidence * (1.0 - unknown), right, rng),
-        confusion_at_60=confusion(known[:, 59], truth),
-        unknown_on_known={percent: float(unknown[:, percent - 1].mean()) for percent in _UNKNOWN_AT},
-        unknown_quartiles=quartiles(unknown),
-        speeds=tuple(_speed_scores(settings.further_speeds, motions, truth, rate)),
-        unknown=unknown_score(unknown_by_class, unknown) if n_classes else None,
-        groups=tuple(_group_scores(library, right, advice or {})),
-        refused_postures=sum(trace.refused for trace in recorded),
-        timing=_timing(outcomes, recorded, begun),
-    )
+    fits = [fit_s for _, fit_s, _ in outcomes if fit_s is not None]
+    updates_us = 1e-3 * np.concatenate([traces[0].log.update_ns for traces in motions])
+    return {
+        "name": choice.name,
+        "settings": choice.settings or {},
+        "learned_of_class": "its place only" if choice.name == REACHING else "its motions",
+        "rate": rate,
+        "figures": curve_figures(rate),
+        "reference_rms": None if reference is None else float(np.sqrt(np.mean((rate - reference["rate"]) ** 2))),
+        "log_loss": {clip: float(loss.mean()) for clip, loss in losses.items()},
+        "log_loss_curve": losses[f"{max(LOG_LOSS_CLIPS):g}"],
+        "brier": float(brier.mean()),
+        "brier_curve": brier,
+        "calibration": calibration(confidence, right, rng),
+        "calibration_with_unknown": calibration(confidence * (1.0 - unknown), right, rng),
+        "confusion_at_60": confusion(known[:, 59], truth),
+        "unknown_on_known": {str(percent): float(unknown[:, percent - 1].mean()) for percent in _UNKNOWN_AT},
+        "unknown_quartiles": quartiles(unknown),
+        "speeds": speeds,
+        "unknown": unknown_score(unknown_by_class, unknown) if n_classes else None,
+        "groups": list(_groups(library, right, advice or {})),
+        "refused_postures": sum(traces[0].log.refused for traces in motions),
+        "timing": {
+            "fit_s": float(np.median(fits)),
+            "n_fits": len(fits),
+            "update_us": float(np.median(updates_us)),
+            "update_us_p99": float(np.quantile(updates_us, 0.99)),
+            "wall_s": time.perf_counter() - begun,
+            "cpu_s": sum(cpu_s for _, _, cpu_s in outcomes),
+        },
+    }
 
 
-def _speed_scores(
-    speeds: Sequence[float], motions: Sequence[Outcome], truth: IntArray, rate: FloatArray
-) -> Iterator[SpeedScore]:
-    for k, speed in enumerate(speeds, start=1):
-        at_speed = decided_right(np.stack([outcome.traces[k].known for outcome in motions]), truth).mean(axis=0)
-        yield SpeedScore(speed, at_speed, *worst_drop(rate, at_speed))
-
-
-def _group_scores(library: MotionLibrary, right: BoolArray, advice: Mapping[str, str]) -> Iterator[GroupScore]:
+def _groups(library: MotionLibrary, right: BoolArray, advice: Mapping[str, str]) -> Iterator[dict[str, Any]]:
     flags = np.array([advice.get(motion.name, "") for motion in library])
     bad, doubtful = flags == "exclude", flags == "suspect"
     for group, members in (
@@ -211,21 +346,8 @@ def _group_scores(library: MotionLibrary, right: BoolArray, advice: Mapping[str,
         ("suspect only", doubtful),
     ):
         if members.any() and (bad | doubtful).any():
-            yield GroupScore(group, int(members.sum()), curve_figures(right[members].mean(axis=0)))
-
-
-def _timing(outcomes: Sequence[Outcome], recorded: Sequence[Trace], begun: float) -> Timing:
-    fits = [time_s for outcome in outcomes for time_s in outcome.fit_s]
-    updates_us = np.concatenate([trace.update_ns for trace in recorded]) * 1e-3
-    parts = sorted({part for outcome in outcomes for part in outcome.cpu_s})
-    return Timing(
-        fit_s=float(np.median(fits)),
-        n_fits=len(fits),
-        update_us=float(np.median(updates_us)),
-        update_us_p99=float(np.quantile(updates_us, 0.99)),
-        wall_s=time.perf_counter() - begun,
-        cpu_s={part: sum(outcome.cpu_s.get(part, 0.0) for outcome in outcomes) for part in parts},
-    )
+            figures = curve_figures(right[members].mean(axis=0))
+            yield {"group": group, "n_motions": int(members.sum()), "figures": figures}
 
 
 def measure(settings: RecognitionSettings, begin: Begin) -> Report:
@@ -237,19 +359,21 @@ def measure(settings: RecognitionSettings, begin: Begin) -> Report:
     path, library = settings.library_path, settings.read_library()
     choices = settings.choices
     check_needs(library, {choice.name: needs_of(choice.name) for choice in choices}, "--classifier")
-    reference = _reference(settings.reference, path)
+    reference = None
+    if settings.reference != "none":
+        reference = read_reference(settings.reference) if settings.reference else reference_beside(path)
     advice = advice_beside(path, library.name)
     n_tasks = len(tasks_for(library, settings.unknown))
-    results = tuple(
+    results = [
         evaluate_classifier(
             choice, library, settings, reference=reference, advice=advice, progress=begin(choice.name, n_tasks)
         )
         for choice in choices
-    )
+    ]
     why_not = unknown_left_out(library) if settings.unknown else None
     return Report(
         f"{library.name}: each of {len(library)} motions left out in turn",
-        tuple(_tables(results, library.labels, reference)),
+        tuple(recognition_tables(results, library.labels, reference)),
         {
             "library": library_facts(library, by_class=True),
             "labels": library.labels,
@@ -265,122 +389,3 @@ def measure(settings: RecognitionSettings, begin: Begin) -> Report:
 def run(settings: RecognitionSettings, console: Console) -> int:
     """Evaluate, print, write; return the exit status."""
     return present(settings, console, measure)
-
-
-def _reference(option: str | None, library: Path) -> ReferenceCurve | None:
-    if option == "none":
-        return None
-    return read_reference(option) if option else reference_beside(library)
-
-
-def _tables(
-    results: Sequence[ClassifierResult], labels: Sequence[int], reference: ReferenceCurve | None
-) -> Iterator[Table]:
-    yield _curve_table(results, reference)
-    name = Column("classifier", lambda r: r.name)
-    yield Table(
-        "How good the probabilities are",
-        results,
-        (
-            name,
-            *(Column(f"log-loss, clipped at {clip}", _entry("log_loss", clip), ".3f") for clip in results[0].log_loss),
-            Column("Brier score", lambda r: r.brier, ".3f"),
-            Column("calibration error", lambda r: r.calibration.error_mean, ".3f"),
-            Column("  its floor", lambda r: r.calibration.floor_mean, ".3f"),
-            Column("  percents pooled", lambda r: r.calibration.error_pooled, ".3f"),
-            Column("  floor of that", lambda r: r.calibration.floor_pooled, ".3f"),
-            Column("  no class counted", lambda r: r.calibration_with_unknown.error_mean, ".3f"),
-            Column("  its own floor", lambda r: r.calibration_with_unknown.floor_mean, ".3f"),
-        ),
-        "Calibration error: mean over the motion. Floor: what perfect calibration would show with so few motions.",
-    )
-    if results[0].speeds:
-        yield Table.of_rows(
-            "The same motions done faster or slower",
-            ("classifier", ("speed", "g"), ("points lost", ".1f"), ("at", "d", "%")),
-            [
-                (result.name, score.speed, score.worst_drop_points, score.worst_drop_percent)
-                for result in results
-                for score in result.speeds
-            ],
-            "Points lost: percentage points below the rate at the recorded speed, at worst, beyond 40 % of the motion.",
-        )
-    yield Table(
-        "Motions of no known class",
-        results,
-        (
-            name,
-            *(
-                Column(f"p of no class, known motions, {p} %", _entry("unknown_on_known", p), ".0%")
-                for p in _UNKNOWN_AT
-            ),
-            Column("AUROC at 60 %", lambda r: None if r.unknown is None else r.unknown.auroc_at_60, ".3f"),
-            Column("unknown refused at 60 %", lambda r: _refused(r, "refused_unknown"), ".1%"),
-            Column("known refused at 60 %", lambda r: _refused(r, "refused_known"), ".1%"),
-        ),
-        f"Refused: the probability of no class is at least {REFUSAL_THRESHOLD:g}.",
-    )
-    yield Table(
-        "Times",
-        results,
-        (
-            name,
-            Column("postures refused", lambda r: r.refused_postures),
-            Column("fit of the whole library", lambda r: r.timing.fit_s, ".2f", "s"),
-            Column("one posture", lambda r: r.timing.update_us, ".0f", "µs"),
-            Column("99 % below", lambda r: r.timing.update_us_p99, ".0f", "µs"),
-            Column("evaluation", lambda r: r.timing.wall_s, ".0f", "s"),
-            Column("processor time", lambda r: sum(r.timing.cpu_s.values()), ".0f", "s"),
-        ),
-    )
-    shown = next((result for result in results if result.name == DEFAULT_CLASSIFIER), results[0])
-    yield _confusion_table(labels, shown)
-
-
-def _curve_table(results: Sequence[ClassifierResult], reference: ReferenceCurve | None) -> Table:
-    rows: list[tuple[Any, ...]] = []
-    for result in results:
-        rows.append((result.name, result.learned_of_class, *_figures(result.figures), result.reference_rms))
-        rows += [(f"{result.name}, {g.group} ({g.n_motions})", None, *_figures(g.figures), None) for g in result.groups]
-    if reference is not None:
-        rows.append(("published", None, *_figures(reference.figures), None))
-    note = "Recognised from: percent of the motion seen, from which on it stays so."
-    if results[0].groups:
-        note += " Excluded, suspect: flagged in outliers.csv beside the library; all other figures count every motion."
-    if any(result.name == REACHING for result in results):
-        note += (
-            f" {REACHING} has seen no motion of the class it is tested on, only where its other motions go; the others "
-            "learned from the class's other motions. Unknown motions: it does not know the place either."
-        )
-    shares = ("half recognised from", "", "%"), ("90 % recognised from", "", "%"), ("recognised at 60 %", ".1%")
-    heads = ("classifier", "known of the class", *shares, ("least from 80 % on", ".1%"), ("rms to published", ".3f"))
-    return Table.of_rows("Motions recognised", heads, rows, note)
-
-
-def _entry(name: str, key: Any) -> Callable[[ClassifierResult], Any]:
-    """Return what gives one entry of a mapping among the figures of a classifier."""
-    return lambda result: getattr(result, name)[key]
-
-
-def _figures(figures: CurveFigures) -> tuple[Any, ...]:
-    first = [percent or "never" for percent in (figures.first_50_percent, figures.first_90_percent)]
-    return *first, figures.rate_at_60, figures.least_from_80
-
-
-def _refused(result: ClassifierResult, of: str) -> float | None:
-    """Return the share refused at 60 % of the motion; None of classifiers that give all motions one probability."""
-    if result.unknown is None or not result.unknown.says_something:
-        return None
-    return float(getattr(result.unknown, of)[5])
-
-
-def _confusion_table(labels: Sequence[int], result: ClassifierResult) -> Table:
-    taken_for = [str(label) for label in labels] + ["undecided"] * bool(result.confusion_at_60[:, -1].any())
-    return Table.of_rows(
-        f"{result.name}: true class (rows) taken for, at 60 % of the motion",
-        ("true class", *taken_for),
-        [
-            (f"class {label}", *row[: len(taken_for)].tolist())
-            for label, row in zip(labels, result.confusion_at_60, strict=True)
-        ],
-    )

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from humanpred_ros.evaluation.leave_one_out import FoldSettings, LeaveOneOut, leave_one_out
+from humanpred_ros.evaluation.leave_one_out import LeaveOneOut
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
@@ -166,16 +166,14 @@ class World:
             group = 0
         key = (predictor, group, scene.grid, scene.T_world_human.tobytes())
         if key not in self._folds:
-            self._folds[key] = leave_one_out(
+            self._folds[key] = LeaveOneOut(
                 predictor,
-                FoldSettings(
-                    training_library(self.library, self.settings.hold_out, group),
-                    self.human,
-                    scene.grid,
-                    scene.T_world_human,
-                    classifier=DEFAULT_CLASSIFIER if predictor == DEFAULT_PREDICTOR else "gmm",
-                    gmm=self.settings.gmm,
-                ),
+                training_library(self.library, self.settings.hold_out, group),
+                self.human,
+                scene.grid,
+                scene.T_world_human,
+                classifier=DEFAULT_CLASSIFIER if predictor == DEFAULT_PREDICTOR else "gmm",
+                gmm=self.settings.gmm,
             )
         return PredictedOccupancies(self._folds[key].without(motion.name), motion, self.settings.threshold, n_held)
 

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -77,73 +76,50 @@ def returns_home(library: MotionLibrary, human: HumanModel) -> bool:
     return bool(np.median(shares) < 0.5)
 
 
-def build_stream(
-    motions: Sequence[Motion],
-    human: HumanModel,
-    noise: StandingNoise,
-    rng: np.random.Generator,
-    *,
-    come_back: bool,
-    pause_s: tuple[float, float] = PAUSE_S,
-    lead_s: float = LEAD_S,
-) -> Stream:
-    """Return one stream of the motions, in their order.
+def standing_stream(posture: FloatArray, duration_s: float, noise: StandingNoise, rng: np.random.Generator) -> Stream:
+    """Return a person who does nothing but stand in one posture (D,)."""
+    t_s, deviation = noise.draw(duration_s, rng)
+    return Stream(t_s, _short_way(posture + deviation, noise.dof_names), ())
 
-    Args:
-        motions: at least one, with the DoFs of `human`.
+
+@dataclass(eq=False)
+class StreamBuilder:
+    """Makes one stream of motions: appends pieces one after the other.
+
+    Attributes:
         human: tells where the palm is.
         noise: of standing.
         rng: draws pauses and noise.
         come_back: the motions return by themselves (`returns_home`).
         pause_s: a pause is uniform in this range.
         lead_s: standing before the first motion and after the last, at least.
-
-    Raises:
-        UsageError: no motions, or pauses that are none.
     """
-    if not motions:
-        raise UsageError("streams: wanted at least one motion, got none")
-    if not 0.0 < pause_s[0] <= pause_s[1]:
-        raise UsageError(f"streams: wanted pauses from above 0 s to no less than that, got {pause_s}")
-    return _Builder(human, noise, rng, come_back, pause_s, lead_s).build(motions)
 
+    human: HumanModel
+    noise: StandingNoise
+    rng: np.random.Generator
+    come_back: bool
+    pause_s: tuple[float, float] = PAUSE_S
+    lead_s: float = LEAD_S
 
-def standing_stream(posture: FloatArray, duration_s: float, noise: StandingNoise, rng: np.random.Generator) -> Stream:
-    """Return a person who does nothing but stand in one posture (D,)."""
-    t_s, deviation = noise.draw(duration_s, rng)
-    return Stream(t_s, _wrapped(posture + deviation, noise.dof_names), ())
+    def build(self, motions: Sequence[Motion]) -> Stream:
+        """Return one stream of the motions, in their order.
 
-
-class _Piece(NamedTuple):
-    motion: Motion
-    made: bool
-    start_s: float
-    stop_s: float
-
-
-class _Builder:
-    """Appends pieces one after the other; `clean` is the same without the noise of pauses, for the truth."""
-
-    def __init__(
-        self,
-        human: HumanModel,
-        noise: StandingNoise,
-        rng: np.random.Generator,
-        come_back: bool,
-        pause_s: tuple[float, float],
-        lead_s: float,
-    ) -> None:
-        self.human, self.noise, self.rng, self.come_back = human, noise, rng, come_back
-        self.pause_s, self.lead_s = pause_s, lead_s
+        Raises:
+            UsageError: no motions, or pauses that are none.
+        """
+        if not motions:
+            raise UsageError("streams: wanted at least one motion, got none")
+        if not 0.0 < self.pause_s[0] <= self.pause_s[1]:
+            raise UsageError(f"streams: wanted pauses from above 0 s to no less than that, got {self.pause_s}")
         self.now_s = 0.0
         self.t_s: list[FloatArray] = []
         self.q: list[FloatArray] = []
+        #: The same without the noise of pauses, for the truth.
         self.clean: list[FloatArray] = []
-        #: Motions, and when the pauses before each of them and after the last begin.
-        self.pieces: list[_Piece] = []
+        #: Motions, whether they are made, and from when to when; and when the pauses around them begin.
+        self.pieces: list[tuple[Motion, bool, float, float]] = []
         self.rest_from_s: list[float] = []
-
-    def build(self, motions: Sequence[Motion]) -> Stream:
         stands = [self._stand(motion) for motion in motions]
         self._pause(stands[0], self.lead_s + self._pause_s())
         for k, motion in enumerate(motions):
@@ -151,18 +127,19 @@ class _Builder:
             start_s = self.now_s + motion.period_s
             self._append(start_s + motion.t_s - motion.t_s[0], motion.q, unwrap_angles(motion).q)
             stop_s = self.now_s
-            velocity, peak_mps = self._last_velocity(motion), self._peak(motion)
+            velocity = self._last_velocity(motion)
+            peak_mps = motion_span(motion.t_s, self.human.forward(motion.q)[PALM]).peak_mps
             if self.come_back:
                 self._stroke(motion.q[-1], velocity, following, peak_mps, motion.period_s)
-                self.pieces.append(_Piece(motion, False, start_s, stop_s))
+                self.pieces.append((motion, False, start_s, stop_s))
             else:
                 target = motion.q[-1] + 0.5 * _STOP_S * velocity
                 self._stroke(motion.q[-1], velocity, target, peak_mps, motion.period_s, _STOP_S)
-                self.pieces.append(_Piece(motion, False, start_s, stop_s))
+                self.pieces.append((motion, False, start_s, stop_s))
                 self._pause(target, self._pause_s())
                 start_s = self.now_s
                 self._stroke(target, np.zeros_like(target), following, peak_mps, motion.period_s)
-                self.pieces.append(_Piece(motion, True, start_s, self.now_s))
+                self.pieces.append((motion, True, start_s, self.now_s))
             self._pause(following, self._pause_s() + (self.lead_s if k + 1 == len(motions) else 0.0))
         t_s, q = np.concatenate(self.t_s), np.concatenate(self.q)
         return Stream(t_s, q, self._placed(t_s, np.concatenate(self.clean)))
@@ -170,16 +147,13 @@ class _Builder:
     def _placed(self, t_s: FloatArray, clean: FloatArray) -> tuple[Placed, ...]:
         """Return each motion with its true span, seen from the middle of the pause before to that of the one after."""
         palm = self.human.forward(clean)[PALM]
-        rests_until_s = [*(piece.start_s for piece in self.pieces), float(t_s[-1])]
+        rests_until_s = [*(start_s for _, _, start_s, _ in self.pieces), float(t_s[-1])]
         middles = [0.5 * (begin + end) for begin, end in zip(self.rest_from_s, rests_until_s, strict=True)]
         placed = []
-        for piece, left, right in zip(self.pieces, middles, middles[1:], strict=False):
+        for (motion, made, start_s, stop_s), left, right in zip(self.pieces, middles, middles[1:], strict=False):
             inside = (t_s >= left) & (t_s <= right)
             span = motion_span(t_s[inside], palm[inside])
-            motion = piece.motion
-            placed.append(
-                Placed(motion.name, motion.label, piece.made, piece.start_s, piece.stop_s, span.onset_s, span.end_s)
-            )
+            placed.append(Placed(motion.name, motion.label, made, start_s, stop_s, span.onset_s, span.end_s))
         return tuple(placed)
 
     def _append(self, t_s: FloatArray, q: FloatArray, clean: FloatArray) -> None:
@@ -195,7 +169,7 @@ class _Builder:
     def _pause(self, posture: FloatArray, duration_s: float) -> None:
         self.rest_from_s.append(self.now_s)
         t_s, deviation = self.noise.draw(duration_s, self.rng)
-        postures = _wrapped(posture + deviation, self.noise.dof_names)
+        postures = _short_way(posture + deviation, self.noise.dof_names)
         self._append(self.now_s + t_s, postures, np.repeat(posture[None], len(t_s), axis=0))
 
     def _stroke(
@@ -220,7 +194,7 @@ class _Builder:
         fading = u - 6.0 * u**3 + 8.0 * u**4 - 3.0 * u**5  # slope 1 at the start, at rest at the end, adds nothing
         q: FloatArray = start + least_jerk * change + fading * velocity * duration_s
         t_s = np.asarray(self.now_s + period_s * np.arange(1, n + 1), dtype=np.float64)
-        self._append(t_s, _wrapped(q, self.noise.dof_names), q)
+        self._append(t_s, _short_way(q, self.noise.dof_names), q)
 
     def _stand(self, motion: Motion) -> FloatArray:
         """Return the posture (D,) from which a motion starts: the median of its rest, its first posture if none."""
@@ -237,16 +211,8 @@ class _Builder:
         first = min(len(q) - 2, int(np.searchsorted(motion.t_s, motion.t_s[-1] - _VELOCITY_S)))
         return median_slope(motion.t_s[first:], q[first:])
 
-    def _peak(self, motion: Motion) -> float:
-        return motion_span(motion.t_s, self.human.forward(motion.q)[PALM]).peak_mps
-
 
 def _short_way(change: FloatArray, dof_names: Sequence[str]) -> FloatArray:
-    """Return differences with whole turns taken off the angles."""
+    """Return postures, or differences of them, with whole turns taken off: every angle within half a turn."""
     angle = np.array([is_angle(name) for name in dof_names])
     return np.where(angle, change - 2 * np.pi * np.round(change / (2 * np.pi)), change)
-
-
-def _wrapped(q: FloatArray, dof_names: Sequence[str]) -> FloatArray:
-    """Return postures with every angle within half a turn."""
-    return _short_way(q, dof_names)

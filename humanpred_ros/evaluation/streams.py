@@ -7,39 +7,71 @@ has learned from all other rounds: a stream holds many motions, none of which ma
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
 from rich.console import Console
 
 from humanpred_ros.errors import LibraryFormatError
 from humanpred_ros.evaluation.framework import (
     Advance,
     Begin,
-    Column,
     LibrarySettings,
     Report,
-    Table,
     chosen_names,
     present,
 )
+from humanpred_ros.evaluation.leave_one_out import UpdateLog, answers
 from humanpred_ros.evaluation.outputs import library_facts
 from humanpred_ros.evaluation.parallel import map_processes
 from humanpred_ros.evaluation.published import advice_beside
-from humanpred_ros.evaluation.recognition_runs import evaluated_names
-from humanpred_ros.evaluation.stream_runs import PERCENTS, VARIANTS, Outcome, StreamRuns
-from humanpred_ros.evaluation.stream_scores import FalseStarts, MotionScore, OnsetFigures, onset_figures
-from humanpred_ros.motion.motion import MotionLibrary
+from humanpred_ros.evaluation.recognition import ClassifierChoice, evaluated_names, given_known
+from humanpred_ros.evaluation.recognition_scores import decided_right
+from humanpred_ros.evaluation.standing import standing_noise
+from humanpred_ros.evaluation.stream_composed import Placed, Stream, StreamBuilder, returns_home, standing_stream
+from humanpred_ros.evaluation.stream_report import stream_plot, stream_tables
+from humanpred_ros.evaluation.stream_scores import announcements, onset_figures, score_events
+from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.human.model import HumanModel, human_with
+from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER
-from humanpred_ros.recognition.onset import OnsetSettings
+from humanpred_ros.recognition import stream
+from humanpred_ros.recognition.onset import BodyPoints, MotionState, OnsetDetector, OnsetSettings
 from humanpred_ros.settings import setting
-from humanpred_ros.viewing.figures import DASHES, MARKERS, SERIES, new_figure, note
 
 #: Advice (in the file beside a library) that says a motion is mistracked, or may be.
 _FLAGS = ("exclude", "suspect")
+#: Where in the recorded motion recognition is looked at.
+PERCENTS = (20, 40, 60, 80, 100)
+
+
+class Variant(NamedTuple):
+    """How a stream differs from the recordings.
+
+    Attributes:
+        name: for tables.
+        slower: stamps are this many times as far apart.
+        least_step_s: frames sooner after the last one are dropped; 0 keeps all.
+        mixed: pauses have the noise of all rounds instead of this round's.
+    """
+
+    name: str
+    slower: float = 1.0
+    least_step_s: float = 0.0
+    mixed: bool = False
+
+
+#: The first is the one that figures without a name are of.
+VARIANTS = (
+    Variant("as recorded"),
+    Variant("noise of all rounds mixed", mixed=True),
+    Variant("at 30 Hz", least_step_s=1.0 / 30.0),
+    Variant("done 1.5 times as slowly", slower=1.5),
+)
 
 
 class StreamSettings(LibrarySettings):
@@ -54,70 +86,137 @@ class StreamSettings(LibrarySettings):
         chosen_names((self.classifier,), ("none", *evaluated_names()), "classifier")
 
 
-@dataclass(frozen=True)
-class VariantResult:
-    """Onsets and ends in one kind of streams.
+@dataclass(frozen=True, eq=False)
+class StreamRuns:
+    """Makes streams of one round and looks at what is announced on them; called with the round's index.
+
+    Can be sent to other processes.
 
     Attributes:
-        name: of the variant.
-        groups: figures by group of recorded motions: all, even and odd rounds, flagged or not; None of empty ones.
-        made: of the returns that were made, None where motions come back by themselves.
-        false_starts: onsets announced in the streams between motions.
-        streams_s: duration of all streams.
-        standing_starts: onsets announced while the person only stood, by rounds: all, even, odd.
-        standing_s: durations of that.
+        library: whose motions with one index are one round.
+        settings: classifier, seed (of pauses, noise and order; each round has its own generator), and how much mere
+            standing there is in all rounds together.
     """
 
-    name: str
-    groups: Mapping[str, OnsetFigures | None]
-    made: OnsetFigures | None
-    false_starts: FalseStarts
-    streams_s: float
-    standing_starts: Mapping[str, int]
-    standing_s: Mapping[str, float]
+    library: MotionLibrary
+    settings: StreamSettings
 
-    def per_ten_minutes(self, rounds: str = "all") -> float | None:
-        """Return the false starts per ten minutes of mere standing; None without any."""
-        standing_s = self.standing_s[rounds]
-        return 600.0 * self.standing_starts[rounds] / standing_s if standing_s else None
+    def __call__(self, index: int) -> dict[str, Any]:
+        """Run one round.
 
-    def figures(self) -> dict[str, Any]:
-        """Return all of it, by name."""
-        rates = {rounds: self.per_ten_minutes(rounds) for rounds, s in self.standing_s.items() if s > 0}
-        return {**vars(self), "false_starts_per_ten_minutes": rates}
+        Returns:
+            `variants`: by name, what `_onsets` returns; `detector_us`: (T,) time of each detector update on the stream
+            as recorded; and what `_recognition` returns, nothing without a classifier.
+        """
+        logs = [UpdateLog() for _ in VARIANTS]
+        variants = {v.name: self._onsets(index, v, log) for v, log in zip(VARIANTS, logs, strict=True)}
+        recognition = {} if self.settings.classifier == "none" else self._recognition(index)
+        return {"variants": variants, "detector_us": 1e-3 * np.array(logs[0].update_ns), **recognition}
+
+    @cached_property
+    def human(self) -> HumanModel:
+        return human_with(self.library.dof_names)
+
+    @cached_property
+    def come_back(self) -> bool:
+        return returns_home(self.library, self.human)
+
+    def streams(self, index: int, variant: Variant) -> tuple[Stream, Stream]:
+        """Return the stream of one round, and one of standing, in one variant."""
+        rng = np.random.default_rng((self.settings.seed, index))
+        motions = [_slower(motion, variant.slower) for motion in self.library if motion.index == index]
+        motions = [motions[k] for k in rng.permutation(len(motions))]
+        # Of every other round, this one among them: what settings were chosen on stays apart.
+        half = [_slower(motion, variant.slower) for motion in self.library if (motion.index - index) % 2 == 0]
+        try:
+            noise = standing_noise(half, self.human)
+        except LibraryFormatError:
+            noise = standing_noise(self.library.motions, self.human)
+        if not variant.mixed:
+            noise = noise.near(index)
+        made = StreamBuilder(self.human, noise, rng, self.come_back).build(motions)
+        # The most usual of the round's starts: one of them may be mistracked.
+        starts = np.stack([motion.q[0] for motion in motions])
+        start = starts[np.abs(starts - np.median(starts, axis=0)).sum(axis=1).argmin()]
+        standing_s = 60.0 * self.settings.standing / len({motion.index for motion in self.library})
+        standing = standing_stream(start, standing_s, noise, rng)
+        return _thinned(made, variant.least_step_s), _thinned(standing, variant.least_step_s)
+
+    def _onsets(self, index: int, variant: Variant, log: UpdateLog) -> dict[str, Any]:
+        """Return `scores` and `false_starts` of `score_events`, durations, and onsets while standing."""
+        made, standing = self.streams(index, variant)
+        scores, false_starts = score_events(made.placed, announcements(self._states(made, log)))
+        still = announcements(self._states(standing, UpdateLog()))
+        return {
+            "scores": scores,
+            "false_starts": false_starts,
+            "stream_s": float(made.t_s[-1] - made.t_s[0]),
+            "standing_starts": sum(event.moving for event in still),
+            "standing_s": float(standing.t_s[-1] - standing.t_s[0]),
+        }
+
+    def _states(self, shown: Stream, log: UpdateLog) -> list[MotionState]:
+        """Return what a detector says after each posture."""
+        detector, points, states = OnsetDetector(OnsetSettings()), BodyPoints(self.human), []
+        for q, t_s in zip(shown.q, shown.t_s.tolist(), strict=True):
+            begun = time.perf_counter_ns()
+            states.append(detector.update(points(q), t_s))
+            log.update_ns.append(time.perf_counter_ns() - begun)
+        return states
+
+    def _recognition(self, index: int) -> dict[str, Any]:
+        """Learn from the other rounds and return what is recognised.
+
+        Returns:
+            `recognised`: of each motion its name, and whether its class alone was the most probable one at each of
+            `PERCENTS`, in the stream and by itself; `refused`: postures refused in the stream; `stream_us`: (T,) time
+            of each update.
+        """
+        rest = self.library.select(lambda motion: motion.index != index)
+        wrapped = stream.StreamClassifier(
+            ClassifierChoice(self.settings.classifier).make(self.human), stream.StreamSettings(onset=OnsetSettings())
+        )
+        classifier = wrapped.fit(rest)
+        made, _ = self.streams(index, VARIANTS[0])
+        log = UpdateLog()
+        known = np.array([given_known(said, rest.labels) for said in answers(classifier, made.q, made.t_s, log)])
+        recognised = []
+        for placed in made.placed:
+            if placed.made or placed.label not in rest.labels:
+                continue
+            motion, column = self.library.find(placed.name), rest.labels.index(placed.label)
+            said = answers(classifier.classifier, motion.q, motion.t_s, UpdateLog())
+            alone = np.array([given_known(posterior, rest.labels) for posterior in said])
+            frames = [len(motion) * percent // 100 - 1 for percent in PERCENTS]
+            in_stream = _right(known[_frames_at(made.t_s, placed)], column)
+            recognised.append((placed.name, in_stream, _right(alone[frames], column)))
+        return {"recognised": recognised, "refused": log.refused, "stream_us": 1e-3 * np.array(log.update_ns)}
 
 
-@dataclass(frozen=True)
-class RecognitionResult:
-    """Share of motions recognised at each of `percents`, in the stream and each alone, by group."""
-
-    percents: tuple[int, ...]
-    n_motions: Mapping[str, int]
-    in_stream: Mapping[str, tuple[float, ...]]
-    alone: Mapping[str, tuple[float, ...]]
-    refused: int
+def _right(known: FloatArray, column: int) -> list[bool]:
+    right: list[bool] = decided_right(known[None], np.array([column]))[0].tolist()
+    return right
 
 
-@dataclass(frozen=True)
-class StreamEvaluation:
-    """Everything an evaluation of streams found.
+def _frames_at(t_s: FloatArray, placed: Placed) -> list[int]:
+    """Return the last frame seen at each percent of the recorded piece of a motion."""
+    first = int(np.searchsorted(t_s, placed.start_s - 1e-9))
+    n = int(np.searchsorted(t_s, placed.stop_s + 1e-9)) - first
+    return [first + n * percent // 100 - 1 for percent in PERCENTS]
 
-    Attributes:
-        variants: the first is as recorded.
-        recognition: None without a classifier.
-        motions: of each recorded motion in the streams as recorded, what was announced.
-        detector_us, stream_us: median and 99th percentile of an update: detection only, and with the classifier.
-        most_us: longest update with the classifier; where an onset is found, it is shown the buffered postures.
-        wall_s: duration of the evaluation.
-    """
 
-    variants: tuple[VariantResult, ...]
-    recognition: RecognitionResult | None
-    motions: tuple[MotionScore, ...]
-    detector_us: tuple[float, float]
-    stream_us: tuple[float, float] | None
-    most_us: float | None
-    wall_s: float
+def _slower(motion: Motion, factor: float) -> Motion:
+    return motion if factor == 1.0 else replace(motion, t_s=motion.t_s * factor)
+
+
+def _thinned(shown: Stream, least_step_s: float) -> Stream:
+    """Return the stream a slower sensor would deliver."""
+    kept, last_s = [], -np.inf
+    for k, t_s in enumerate(shown.t_s.tolist()):
+        if t_s - last_s >= least_step_s - 1e-4:  # stamps are rounded
+            kept.append(k)
+            last_s = t_s
+    return Stream(shown.t_s[kept], shown.q[kept], shown.placed)
 
 
 def evaluate_streams(
@@ -126,7 +225,7 @@ def evaluate_streams(
     *,
     flagged: frozenset[str] = frozenset(),
     progress: Advance | None = None,
-) -> StreamEvaluation:
+) -> dict[str, Any]:
     """Make a stream of each recording round, left out of learning, and look at what is announced on it.
 
     Args:
@@ -136,14 +235,25 @@ def evaluate_streams(
             them alone are given beside.
         progress: is called with the number of rounds done.
 
+    Returns:
+        Figures by name, as in the JSON file.
+
+        - `variants`, the first as recorded: `onset_figures` by group of recorded motions (None of empty ones), and of
+          the returns that were `made`; `false_starts` (`score_events`) and duration of all streams; onsets announced
+          while the person only stood and the duration of that, by rounds, and what that is in ten minutes;
+        - `recognition`: share of motions recognised at each of `percents`, in the stream and each alone, by group, and
+          postures refused; None without a classifier;
+        - `motions`: of each recorded motion in the streams as recorded, what was announced (`score_events`);
+        - `detector_us`, `stream_us`: median and 99th percentile of an update, detection only and with the classifier;
+          `most_us`: longest update with the classifier (where an onset is found, it is shown the buffered postures);
+          `wall_s`: duration of the evaluation.
+
     Raises:
         LibraryFormatError: a library without labels, or of one round, or what the classifier cannot learn.
     """
     begun = time.perf_counter()
     rounds = check_rounds(library)
-    classifier = None if settings.classifier == "none" else settings.classifier
-    runs = StreamRuns(library, classifier, OnsetSettings(), settings.seed, 60.0 * settings.standing)
-    found = map_processes(runs, rounds, settings.jobs, progress, settings.scheduler)
+    found = map_processes(StreamRuns(library, settings), rounds, settings.jobs, progress, settings.scheduler)
     outcomes = dict(zip(rounds, found, strict=True))
     names = {motion.name: motion.index for motion in library}
     groups: dict[str, Callable[[str], bool]] = {
@@ -154,19 +264,18 @@ def evaluate_streams(
         "not flagged, odd rounds": lambda name: name not in flagged and names[name] % 2 == 1,
         "flagged": lambda name: name in flagged,
     }
-    detector_us = np.concatenate([outcome.detector_us for outcome in outcomes.values()])
-    stream_us = np.concatenate([outcome.stream_us for outcome in outcomes.values()])
-    timed = len(stream_us) > 0
-    recorded = [s for o in outcomes.values() for s in o.variants[VARIANTS[0].name].scores if not s.made]
-    return StreamEvaluation(
-        variants=tuple(_variant(variant.name, outcomes, groups, settings.tolerance) for variant in VARIANTS),
-        recognition=_recognition(outcomes, groups) if classifier is not None else None,
-        motions=tuple(recorded),
-        detector_us=_median_and_99(detector_us),
-        stream_us=_median_and_99(stream_us) if timed else None,
-        most_us=float(stream_us.max()) if timed else None,
-        wall_s=time.perf_counter() - begun,
-    )
+    timed = settings.classifier != "none"
+    stream_us = np.concatenate([outcome["stream_us"] for outcome in found]) if timed else np.zeros(0)
+    recorded = [outcome["variants"][VARIANTS[0].name]["scores"] for outcome in found]
+    return {
+        "variants": [_variant(variant.name, outcomes, groups, settings.tolerance) for variant in VARIANTS],
+        "recognition": _recognition(found, groups) if timed else None,
+        "motions": [score for scores in recorded for score in scores if not score["made"]],
+        "detector_us": np.percentile(np.concatenate([outcome["detector_us"] for outcome in found]), [50, 99]).tolist(),
+        "stream_us": np.percentile(stream_us, [50, 99]).tolist() if timed else None,
+        "most_us": float(stream_us.max()) if timed else None,
+        "wall_s": time.perf_counter() - begun,
+    }
 
 
 def check_rounds(library: MotionLibrary) -> list[int]:
@@ -186,51 +295,54 @@ def check_rounds(library: MotionLibrary) -> list[int]:
 
 
 def _variant(
-    name: str, outcomes: Mapping[int, Outcome], groups: Mapping[str, Callable[[str], bool]], tolerance_s: float
-) -> VariantResult:
-    found = {index: outcome.variants[name] for index, outcome in outcomes.items()}
-    scores = [score for outcome in found.values() for score in outcome.scores]
+    name: str,
+    outcomes: Mapping[int, dict[str, Any]],
+    groups: Mapping[str, Callable[[str], bool]],
+    tolerance_s: float,
+) -> dict[str, Any]:
+    found = {index: outcome["variants"][name] for index, outcome in outcomes.items()}
+    scores = [score for outcome in found.values() for score in outcome["scores"]]
+    recorded = [score for score in scores if not score["made"]]
     halves = {"all": (0, 1), "even rounds": (0,), "odd rounds": (1,)}
-    return VariantResult(
-        name=name,
-        groups={
-            group: onset_figures([s for s in scores if not s.made and belongs(s.name)], tolerance_s)
+    starts, standing_s = (
+        {
+            half: sum(outcome[key] for index, outcome in found.items() if index % 2 in parities)
+            for half, parities in halves.items()
+        }
+        for key in ("standing_starts", "standing_s")
+    )
+    false_starts = Counter(recorded_rest=0, after_motion=0, pause=0)
+    for outcome in found.values():
+        false_starts.update(outcome["false_starts"])
+    return {
+        "name": name,
+        "groups": {
+            group: onset_figures([score for score in recorded if belongs(score["name"])], tolerance_s)
             for group, belongs in groups.items()
         },
-        made=onset_figures([s for s in scores if s.made], tolerance_s),
-        false_starts=sum((outcome.false_starts for outcome in found.values()), FalseStarts(0, 0, 0)),
-        streams_s=sum(outcome.stream_s for outcome in found.values()),
-        standing_starts={
-            half: sum(outcome.standing_starts for index, outcome in found.items() if index % 2 in parities)
-            for half, parities in halves.items()
-        },
-        standing_s={
-            half: sum(outcome.standing_s for index, outcome in found.items() if index % 2 in parities)
-            for half, parities in halves.items()
-        },
-    )
+        "made": onset_figures([score for score in scores if score["made"]], tolerance_s),
+        "false_starts": false_starts,
+        "streams_s": sum(outcome["stream_s"] for outcome in found.values()),
+        "standing_starts": starts,
+        "standing_s": standing_s,
+        "false_starts_per_ten_minutes": {half: 600.0 * starts[half] / s for half, s in standing_s.items() if s > 0},
+    }
 
 
-def _recognition(outcomes: Mapping[int, Outcome], groups: Mapping[str, Callable[[str], bool]]) -> RecognitionResult:
-    found = [recognition for outcome in outcomes.values() for recognition in outcome.recognition]
-    members = {group: [r for r in found if belongs(r.name)] for group, belongs in groups.items()}
+def _recognition(found: Sequence[dict[str, Any]], groups: Mapping[str, Callable[[str], bool]]) -> dict[str, Any]:
+    recognised = [one for outcome in found for one in outcome["recognised"]]
+    members = {group: [one for one in recognised if belongs(one[0])] for group, belongs in groups.items()}
     filled = {group: chosen for group, chosen in members.items() if chosen}
-    return RecognitionResult(
-        percents=PERCENTS,
-        n_motions={group: len(chosen) for group, chosen in filled.items()},
-        in_stream={group: _shares([r.in_stream for r in chosen]) for group, chosen in filled.items()},
-        alone={group: _shares([r.alone for r in chosen]) for group, chosen in filled.items()},
-        refused=sum(outcome.refused for outcome in outcomes.values()),
+    in_stream, alone = (
+        {group: np.mean([one[which] for one in chosen], axis=0) for group, chosen in filled.items()} for which in (1, 2)
     )
-
-
-def _shares(right: list[tuple[bool, ...]]) -> tuple[float, ...]:
-    return tuple(float(share) for share in np.mean(np.array(right, dtype=np.float64), axis=0))
-
-
-def _median_and_99(values: np.ndarray[Any, np.dtype[np.float64]]) -> tuple[float, float]:
-    median, top = np.percentile(values, [50, 99])
-    return float(median), float(top)
+    return {
+        "percents": PERCENTS,
+        "n_motions": {group: len(chosen) for group, chosen in filled.items()},
+        "in_stream": in_stream,
+        "alone": alone,
+        "refused": sum(outcome["refused"] for outcome in found),
+    }
 
 
 def measure(settings: StreamSettings, begin: Begin) -> Report:
@@ -242,125 +354,15 @@ def measure(settings: StreamSettings, begin: Begin) -> Report:
     path, library = settings.library_path, settings.read_library()
     flagged = frozenset(name for name, advice in advice_beside(path, library.name).items() if advice in _FLAGS)
     advance = begin("rounds", len(check_rounds(library)))
-    evaluation = evaluate_streams(library, settings, flagged=flagged, progress=advance)
-    recorded = evaluation.variants[0]
-    tables = [_groups_table(recorded, settings), _variants_table(evaluation.variants, settings)]
-    if evaluation.recognition is not None:
-        tables.append(_recognition_table(evaluation.recognition, settings.classifier))
-    figures = {
-        "library": library_facts(library),
-        "onset": OnsetSettings(),
-        "flagged": sorted(flagged),
-        **vars(evaluation),
-        "variants": [variant.figures() for variant in evaluation.variants],
-    }
+    found = evaluate_streams(library, settings, flagged=flagged, progress=advance)
     return Report(
-        f"{library.name}: motions in streams with pauses, {recorded.streams_s / 60:.0f} min",
-        (*tables, _times_table(evaluation)),
-        figures,
-        draw=lambda: _plot(evaluation),
+        f"{library.name}: motions in streams with pauses, {found['variants'][0]['streams_s'] / 60:.0f} min",
+        stream_tables(found, settings.classifier, settings.tolerance),
+        {"library": library_facts(library), "onset": OnsetSettings(), "flagged": sorted(flagged), **found},
+        draw=lambda: stream_plot(found),
     )
 
 
 def run(settings: StreamSettings, console: Console) -> int:
     """Evaluate, print, write; return the exit status."""
     return present(settings, console, measure)
-
-
-def _groups_table(recorded: VariantResult, settings: StreamSettings) -> Table:
-    groups = dict(recorded.groups) | {"returns (made)": recorded.made}
-
-    def delay(name: str, number: int) -> Callable[[tuple[str, OnsetFigures]], float]:
-        return lambda record: float(getattr(record[1], name)[number])
-
-    columns = [
-        Column("motions", lambda record: record[0]),
-        Column("number", lambda record: record[1].n_motions),
-        Column(f"onsets announced within {settings.tolerance:g} s", lambda record: record[1].in_time, ".1%"),
-        Column("onsets missed", lambda record: record[1].missed),
-    ]
-    for of, title in (("onset", "onset"), ("end", "end")):
-        if of == "end":
-            columns.append(Column("ends announced before the next", lambda record: record[1].ends_found, ".1%"))
-        columns += [
-            Column(f"{title} late by, median", delay(f"{of}_delay_s", 0), "+.2f", "s"),
-            Column(f"{title} late by, 95 %", delay(f"{of}_delay_s", 1), "+.2f", "s"),
-            Column(f"{title} off by, 5 %", delay(f"{of}_error_s", 0), "+.2f", "s"),
-            Column(f"{title} off by, median", delay(f"{of}_error_s", 1), "+.2f", "s"),
-            Column(f"{title} off by, 95 %", delay(f"{of}_error_s", 2), "+.2f", "s"),
-        ]
-    columns.append(Column("announced again during the motion", lambda record: record[1].split))
-    found = [(name, figures) for name, figures in groups.items() if figures is not None]
-    text = "Late by: the announcement after the true time. Off by: the announced time less the true one."
-    return Table("As recorded", found, columns, text)
-
-
-def _variants_table(variants: Sequence[VariantResult], settings: StreamSettings) -> Table:
-    within = f"within {settings.tolerance:g} s"
-    heads = (
-        "streams", (within, ".1%"), (f"{within}, odd rounds", ".1%"), ("missed", "d"), ("late by, median", "+.2f", "s"),
-        ("late by, 95 %", "+.2f", "s"), ("starts in recorded rest", "d"), ("after motions", "d"), ("in pauses", "d"),
-        ("standing, per 10 min", ".2f"), ("standing, odd rounds", ".2f"),
-    )  # fmt: skip
-    rows = []
-    for variant in variants:
-        everything, odd = variant.groups["all"], variant.groups["odd rounds"]
-        if everything is not None:
-            starts = [variant.per_ten_minutes(which) for which in ("all", "odd rounds")]
-            in_time = (everything.in_time, None if odd is None else odd.in_time)
-            false = astuple(variant.false_starts)
-            rows.append((variant.name, *in_time, everything.missed, *everything.onset_delay_s, *false, *starts))
-    text = "False starts: onsets announced when no motion was under way."
-    return Table.of_rows("Streams that differ from the recordings", heads, rows, text)
-
-
-def _recognition_table(result: RecognitionResult, classifier: str) -> Table:
-    heads: list[str | tuple[str, ...]] = ["motions", ("number", "d")]
-    for percent in result.percents:
-        heads += [(f"at {percent} %, in the stream", ".3f"), (f"at {percent} %, alone", ".3f")]
-    rows = [
-        (group, n, *np.column_stack([result.in_stream[group], result.alone[group]]).ravel().tolist())
-        for group, n in result.n_motions.items()
-    ]
-    return Table.of_rows(f"{classifier}: share recognised, by part of the motion seen", heads, rows)
-
-
-def _times_table(evaluation: StreamEvaluation) -> Table:
-    rows: list[tuple[Any, ...]] = [("detection", *evaluation.detector_us, None)]
-    if evaluation.stream_us is not None:
-        rows.append(("with the classifier", *evaluation.stream_us, evaluation.most_us))
-    heads = ("one posture", ("median", ".0f", "µs"), ("99 % below", ".0f", "µs"), ("longest", ".0f", "µs"))
-    return Table.of_rows("Times", heads, rows, f"This evaluation took {evaluation.wall_s:.0f} s.")
-
-
-def _plot(evaluation: StreamEvaluation) -> Figure:
-    """Return how late onsets and ends are announced, and recognition in the stream beside that of single motions."""
-    figure = new_figure(3.9)
-    late, recognised = figure.subplots(1, 2)
-    late.set_title("announcements of motions as recorded")
-    for k, (name, delays) in enumerate(
-        (
-            ("onsets", [m.onset_delay_s for m in evaluation.motions if m.onset_delay_s is not None]),
-            ("ends", [m.end_delay_s for m in evaluation.motions if m.end_delay_s is not None]),
-        )
-    ):
-        share = 100.0 * np.arange(1, len(delays) + 1) / max(1, len(evaluation.motions))
-        late.step(np.sort(delays), share, where="post", label=name, color=SERIES[k], linestyle=DASHES[k])
-    late.set_xlabel("later than the true one by at most, in s")
-    late.set_ylabel("motions in %")
-    late.set_ylim(0, 101)
-    late.legend(loc="lower right")
-    recognised.set_title("motions recognised")
-    if evaluation.recognition is None:
-        note(recognised, "no classifier was asked")
-        return figure
-    found = evaluation.recognition
-    for k, (name, shares) in enumerate((("in the stream", found.in_stream), ("alone", found.alone))):
-        if "all" in shares:
-            style = {"color": SERIES[k], "linestyle": DASHES[k], "marker": MARKERS[k], "markersize": 4.0}
-            recognised.plot(found.percents, [100.0 * share for share in shares["all"]], label=name, **style)
-    recognised.set_xlabel("part of the motion seen in %")
-    recognised.set_ylabel("recognised in %")
-    recognised.set_ylim(0, 101)
-    recognised.legend(loc="lower right")
-    return figure

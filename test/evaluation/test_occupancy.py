@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -16,21 +17,15 @@ from rich.console import Console
 from small_library import small_library
 
 from humanpred_ros.errors import ArrayError, HumanPredError, LibraryFormatError
-from humanpred_ros.evaluation import occupancy_runs
+from humanpred_ros.evaluation import occupancy as occupancy_module
 from humanpred_ros.evaluation.framework import print_report
-from humanpred_ros.evaluation.leave_one_out import FoldSettings, LeaveOneOut
-from humanpred_ros.evaluation.occupancy import (
-    OccupancyEvaluation,
-    OccupancySettings,
-    evaluate_occupancy,
-    report_of,
-    run,
-)
-from humanpred_ros.evaluation.occupancy_runs import LeftOutMotions, OccupancySetup, grid_around, swept_region, until_end
-from humanpred_ros.evaluation.occupancy_scores import MotionOutcome
+from humanpred_ros.evaluation.leave_one_out import LeaveOneOut
+from humanpred_ros.evaluation.occupancy import LeftOutMotions, OccupancySettings, evaluate_occupancy, run, until_end
+from humanpred_ros.evaluation.occupancy_report import report_of
+from humanpred_ros.evaluation.occupancy_scores import Played, grid_around, swept_region
 from humanpred_ros.evaluation.outputs import plain
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.lattice import Occupancy
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.motion import MotionLibrary, placed, start_pelvis_m, turn_and_shift
@@ -49,22 +44,19 @@ def library() -> MotionLibrary:
     return small_library(3, 4, 30, there_and_back=True)
 
 
-def setup(**changes: Any) -> OccupancySetup:
+def runs_of(*predictors: str, **changes: Any) -> LeftOutMotions:
     grid = grid_around(library(), HUMAN)
     region = swept_region(library(), BodyVoxeliser(HUMAN, grid, NONE), 2).ravel()
-    return replace(
-        OccupancySetup(
-            HUMAN, grid, NONE, region, (10, 40, 90), "end", NONE, "gmm", GMM, frozenset(), ("10/1", 40)
-        ),
-        **changes,
-    )  # fmt: skip
+    settings = OccupancySettings(library="", predictor=predictors, percents=changes.pop("percents", (10, 40, 90)))
+    runs = LeftOutMotions(settings, library(), library(), HUMAN, grid, NONE, NONE, region, ("10/1", 40))
+    return replace(runs, **changes)
 
 
 class Told(Predictor):
     """Predicts what a function of the posture's number says, and notes what it was shown."""
 
-    def __init__(self, settings: FoldSettings, predict: Any) -> None:
-        self.grid, self._predict, self.shown = settings.grid, predict, []
+    def __init__(self, grid: VoxelGrid, predict: Any) -> None:
+        self.grid, self._predict, self.shown = grid, predict, []
 
     @classmethod
     def from_request(cls, request: PredictorRequest) -> Told:
@@ -78,51 +70,43 @@ class Told(Predictor):
         return Prediction(Occupancy(self.grid, self._predict(len(self.shown) - 1), t_s), None)
 
 
-class ToldFolds(LeaveOneOut):
-    def __init__(self, settings: FoldSettings, predict: Any) -> None:
-        super().__init__(settings, "told")
-        self.predictor = Told(settings, predict)
-
-    def without(self, name: str) -> Told:
-        return self.predictor
-
-
-def run_told(monkeypatch: pytest.MonkeyPatch, predict: Any, name: str, s: OccupancySetup) -> tuple[MotionOutcome, Told]:
-    runs = LeftOutMotions(["told"], library(), s)
-    monkeypatch.setattr(occupancy_runs, "leave_one_out", lambda _, settings: ToldFolds(settings, predict))
-    (outcome,) = runs(name)
-    return outcome, runs._folds[0].predictor
+def run_told(monkeypatch: pytest.MonkeyPatch, predict: Any, name: str, runs: LeftOutMotions) -> tuple[Played, Told]:
+    told = Told(runs.grid, predict)
+    monkeypatch.setattr(LeaveOneOut, "without", lambda self, name: told)
+    ((played, unlisted, _),) = runs(name)
+    assert unlisted is None
+    return played, told
 
 
 def test_who_knows_the_rest_of_the_motion_is_right(monkeypatch: pytest.MonkeyPatch) -> None:
-    s = setup()
+    s = runs_of("current")
     motion = library().find("10/1")
     voxeliser = BodyVoxeliser(HUMAN, s.grid, NONE)
     outcome, told = run_told(monkeypatch, lambda k: voxeliser.mask(motion.q[k:]).astype(np.float32), "10/1", s)
-    assert [score.brier for score in outcome.scores] == [0.0, 0.0, 0.0]
-    assert [score.missed for score in outcome.scores] == [0.0, 0.0, 0.0]
+    assert [score["brier"] for score in outcome.scores] == [0.0, 0.0, 0.0]
+    assert [score["missed"] for score in outcome.scores] == [0.0, 0.0, 0.0]
     # It was shown 90 % of the motion as a sensor would show it, and nothing more.
     assert len(told.shown) == 27
     for k, (q, t_s) in enumerate(told.shown):
         np.testing.assert_array_equal(q, motion.q[k])
         assert t_s == motion.t_s[k]
     assert outcome.picture is not None
-    assert outcome.picture.percent == 40
-    np.testing.assert_array_equal(outcome.picture.swept, outcome.picture.predicted)
+    assert outcome.picture.shape == (2, 80, 80)
+    np.testing.assert_array_equal(*outcome.picture)
 
 
 def test_who_predicts_nothing_is_wrong_by_as_many_voxels_as_are_swept(monkeypatch: pytest.MonkeyPatch) -> None:
-    s = setup()
+    s = runs_of("current")
     outcome, _ = run_told(monkeypatch, lambda k: np.zeros(s.grid.shape, dtype=np.float32), "0/2", s)
-    swept = [score.n_swept for score in outcome.scores]
+    swept = [score["n_swept"] for score in outcome.scores]
     assert swept[0] >= swept[1] > swept[2] > 0
-    assert [score.squared_error for score in outcome.scores] == swept
-    assert [score.missed for score in outcome.scores] == [1.0, 1.0, 1.0]
+    assert [score["squared_error"] for score in outcome.scores] == swept
+    assert [score["missed"] for score in outcome.scores] == [1.0, 1.0, 1.0]
     assert outcome.picture is None
 
 
 def test_a_refused_posture_leaves_the_prediction_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
-    s = setup()
+    s = runs_of("current")
     voxeliser = BodyVoxeliser(HUMAN, s.grid, NONE)
     motion = library().find("10/1")
 
@@ -132,10 +116,10 @@ def test_a_refused_posture_leaves_the_prediction_as_it_was(monkeypatch: pytest.M
         return voxeliser.mask(motion.q[k]).astype(np.float32)
 
     outcome, _ = run_told(monkeypatch, predict, "10/1", s)
-    assert outcome.refused == 4 + 11
-    assert outcome.scores[0].missed == 1.0  # none was accepted yet at 10 %
-    assert outcome.scores[1].missed < 1.0
-    assert outcome.scores[1].n_predicted == voxeliser.mask(motion.q[10]).sum()
+    assert outcome.log.refused == 4 + 11
+    assert outcome.scores[0]["missed"] == 1.0  # none was accepted yet at 10 %
+    assert outcome.scores[1]["missed"] < 1.0
+    assert outcome.scores[1]["n_predicted"] == voxeliser.mask(motion.q[10]).sum()
 
 
 def test_the_apex_is_where_the_palm_turns_back() -> None:
@@ -150,10 +134,10 @@ def test_the_apex_is_where_the_palm_turns_back() -> None:
 def test_somebody_elsewhere_is_shown_elsewhere_and_sweeps_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     T = turn_and_shift(np.deg2rad(20.0), (0.3, 0.0, 0.0), start_pelvis_m(library()))
     motion = placed(library().find("10/1"), T)
-    s = setup(T_shift=T)
+    s = runs_of("current", T_shift=T)
     voxeliser = BodyVoxeliser(HUMAN, s.grid, NONE)
     outcome, told = run_told(monkeypatch, lambda k: voxeliser.mask(motion.q[k:]).astype(np.float32), "10/1", s)
-    assert [score.brier for score in outcome.scores] == [0.0, 0.0, 0.0]
+    assert [score["brier"] for score in outcome.scores] == [0.0, 0.0, 0.0]
     np.testing.assert_array_equal(told.shown[3][0], motion.q[3])
 
 
@@ -162,18 +146,19 @@ SETTINGS = OccupancySettings(
 )
 
 
-def evaluated(**changes: Any) -> OccupancyEvaluation:
-    return evaluate_occupancy(library(), SETTINGS.replaced(**changes))
+def evaluated(motions: MotionLibrary | None = None, **changes: Any) -> dict[str, Any]:
+    figures, _ = evaluate_occupancy(motions or library(), SETTINGS.replaced(**changes))
+    return figures
 
 
-def printed(evaluation: OccupancyEvaluation) -> str:
+def printed(figures: dict[str, Any]) -> str:
     text = io.StringIO()
-    print_report(report_of(evaluation), Console(file=text, width=200))
+    print_report(report_of(figures, None), Console(file=text, width=200))
     return text.getvalue()
 
 
 def test_figures_are_the_same_for_any_number_of_processes() -> None:
-    a, b = (plain(evaluated(jobs=jobs, every=6).figures()) for jobs in (1, 2))
+    a, b = (plain(evaluated(jobs=jobs, every=6)) for jobs in (1, 2))
     for figures in (a, b):
         for predictor in figures["predictors"]:
             timing = predictor.pop("timing")
@@ -184,105 +169,104 @@ def test_figures_are_the_same_for_any_number_of_processes() -> None:
 @pytest.mark.usefixtures("in_this_process")
 def test_every_figure_is_there_and_hangs_together() -> None:
     evaluation = evaluated()
-    assert evaluation.tested == ("0/0", "0/3", "10/2", "20/1")
-    current, moving, p1 = evaluation.predictors
+    assert evaluation["tested"] == ("0/0", "0/3", "10/2", "20/1")
+    current, moving, p1 = evaluation["predictors"]
     for result in (current, moving, p1):
-        for name in ("brier", "squared_error", "log_loss", "average_precision", "missed", "n_swept", "n_predicted"):
-            values = getattr(result.at_percent, name)
+        assert len(result["at_percent"]) == 7
+        for name, values in result["at_percent"].items():
             assert values.shape == (9,)
-            assert float(getattr(result.average, name)) == pytest.approx(values.mean())
-        np.testing.assert_allclose(result.at_percent.brier * evaluation.region_voxels, result.at_percent.squared_error)
-        assert float(result.average.brier) == pytest.approx(np.mean([m["brier"] for m in result.motions.values()]))
-        assert set(result.motions) == set(evaluation.tested)
-        assert result.without_mistracked is None
-        assert result.picture is not None
+            assert result["average"][name] == pytest.approx(values.mean())
+        np.testing.assert_allclose(
+            result["at_percent"]["brier"] * evaluation["region_voxels"], result["at_percent"]["squared_error"]
+        )
+        assert result["average"]["brier"] == pytest.approx(np.mean([m["brier"] for m in result["motions"].values()]))
+        assert set(result["motions"]) == set(evaluation["tested"])
+        assert result["without_mistracked"] is None
         # All voxels of the region, each motion and percent; more where something else is predicted.
-        assert result.calibration.count.sum() >= evaluation.region_voxels * 4 * 9
-    np.testing.assert_array_equal(current.at_percent.n_swept, p1.at_percent.n_swept)
+        assert result["calibration"]["count"].sum() >= evaluation["region_voxels"] * 4 * 9
+    np.testing.assert_array_equal(current["at_percent"]["n_swept"], p1["at_percent"]["n_swept"])
     # The body is part of what it sweeps, so who predicts only that is never wrong, and misses all the rest.
-    assert current.calibration.error_predicted == 0.0
+    assert current["calibration"]["error_predicted"] == 0.0
     np.testing.assert_allclose(
-        current.at_percent.squared_error, current.at_percent.n_swept - current.at_percent.n_predicted
+        current["at_percent"]["squared_error"], current["at_percent"]["n_swept"] - current["at_percent"]["n_predicted"]
     )
-    assert (moving.at_percent.missed <= current.at_percent.missed + 1e-12).all()
-    assert float(p1.average.missed) < float(current.average.missed)
+    assert (moving["at_percent"]["missed"] <= current["at_percent"]["missed"] + 1e-12).all()
+    assert p1["average"]["missed"] < current["average"]["missed"]
 
 
 @pytest.mark.usefixtures("in_this_process")
 def test_somebody_elsewhere_breaks_p1_and_not_the_baselines() -> None:
     here, there = evaluated(), evaluated(shift=(0.3, 0.0, 20.0))
     for k in (0, 1):
-        assert float(there.predictors[k].average.brier * there.region_voxels) == pytest.approx(
-            float(here.predictors[k].average.brier * here.region_voxels), rel=0.1
+        assert float(there["predictors"][k]["average"]["brier"] * there["region_voxels"]) == pytest.approx(
+            float(here["predictors"][k]["average"]["brier"] * here["region_voxels"]), rel=0.1
         )
-    assert float(there.predictors[2].average.missed) > 2 * float(here.predictors[2].average.missed)
+    assert there["predictors"][2]["average"]["missed"] > 2 * here["predictors"][2]["average"]["missed"]
 
 
 @pytest.mark.usefixtures("in_this_process")
 def test_who_never_saw_the_class_stands_beside_who_learned_it() -> None:
     evaluation = evaluated(predictor=("current", "swept_volume", "reaching"), every=5)
-    assert [result.learned_from_class for result in evaluation.predictors] == ["–", "yes", "no"]
-    _, p1, unseen = evaluation.predictors
-    ratio = float(unseen.average.brier) / float(p1.average.brier)
-    assert evaluation.unseen_beside_seen == evaluation.figures()["unseen_beside_seen"] == ratio
+    assert [result["learned_from_class"] for result in evaluation["predictors"]] == ["–", "yes", "no"]
+    _, p1, unseen = evaluation["predictors"]
+    ratio = unseen["average"]["brier"] / p1["average"]["brier"]
+    assert evaluation["unseen_beside_seen"] == ratio
     assert ratio < 1.0, "P2 is no worse than P1, which was trained with the class"
     assert f"Its Brier score is {ratio:.2f} times that of swept_volume" in " ".join(printed(evaluation).split())
-    assert evaluated(predictor=("current",), every=12).unseen_beside_seen is None
+    assert evaluated(predictor=("current",), every=12)["unseen_beside_seen"] is None
 
 
 @pytest.mark.usefixtures("in_this_process")
 def test_who_is_told_places_is_also_judged_without_having_been_told() -> None:
     evaluation = evaluated(predictor=("current", "reaching"), every=5, percents=(50, 80))
-    now, told = evaluation.predictors
-    assert now.unlisted is None
-    assert now.unlisted_at_percent is None
-    assert told.unlisted is not None
-    assert told.unlisted_at_percent is not None
-    np.testing.assert_array_equal(told.unlisted_at_percent.n_swept, told.at_percent.n_swept)
-    assert float(told.unlisted.brier) == pytest.approx(told.unlisted_at_percent.brier.mean())
+    now, told = evaluation["predictors"]
+    assert now["unlisted"] is None
+    assert now["unlisted_at_percent"] is None
+    assert told["unlisted"] is not None
+    assert told["unlisted_at_percent"] is not None
+    np.testing.assert_array_equal(told["unlisted_at_percent"]["n_swept"], told["at_percent"]["n_swept"])
+    assert told["unlisted"]["brier"] == pytest.approx(told["unlisted_at_percent"]["brier"].mean())
     # Its place is worth knowing; a reach that goes elsewhere is still better than none.
-    assert float(told.average.brier) < float(told.unlisted.brier) < float(now.average.brier)
-    assert evaluation.figures()["predictors"][1]["unlisted"].brier == told.unlisted.brier
+    assert told["average"]["brier"] < told["unlisted"]["brier"] < now["average"]["brier"]
     text = printed(evaluation)
-    assert f"{1e3 * float(told.unlisted.brier):.2f}" in text
+    assert f"{1e3 * told['unlisted']['brier']:.2f}" in text
     assert text.count("place not listed ") == 4  # two rows of averages, two along the motion
     assert "not listed" not in printed(evaluated(predictor=("current",), every=12))
 
 
 def test_the_place_that_is_not_told_is_the_tested_motions_own(monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[tuple[int, ...]] = []
-    played = occupancy_runs._played
+    answers = occupancy_module.answers
 
-    def noted(predictor: ReachingPredictor, *rest: Any) -> MotionOutcome:
+    def noted(predictor: ReachingPredictor, *rest: Any) -> Iterator[Any]:
         shown.append(tuple(predictor.places))
-        return played(predictor, *rest)
+        return answers(predictor, *rest)
 
-    monkeypatch.setattr(occupancy_runs, "_played", noted)
-    runs = LeftOutMotions(["reaching"], library(), setup(percents=(10, 40)))
-    (first,), (second,) = runs("10/1"), runs("20/1")
+    monkeypatch.setattr(occupancy_module, "answers", noted)
+    runs = runs_of("reaching", percents=(10, 40))
+    found = [*runs("10/1"), *runs("20/1")]
     assert shown == [(0, 10, 20), (0, 20), (0, 10, 20), (0, 10)]
-    for outcome in (first, second):
-        assert outcome.unlisted is not None
-        assert [score.n_swept for score in outcome.unlisted] == [score.n_swept for score in outcome.scores]
-        assert [score.brier for score in outcome.unlisted] != [score.brier for score in outcome.scores]
+    for listed, unlisted, _ in found:
+        assert unlisted is not None
+        assert [score["n_swept"] for score in unlisted.scores] == [score["n_swept"] for score in listed.scores]
+        assert [score["brier"] for score in unlisted.scores] != [score["brier"] for score in listed.scores]
 
 
 @pytest.mark.usefixtures("in_this_process")
 def test_the_human_is_the_one_whose_dofs_the_library_has() -> None:
-    settings = SETTINGS.replaced(predictor=("current", "reaching"), every=4, percents=(30, 60))
-    evaluation = evaluate_occupancy(mocap_library(3, 3, 25), settings)
-    now, unseen = evaluation.predictors
-    assert unseen.refused_postures == 0
-    assert float(unseen.average.missed) < 0.5 * float(now.average.missed)
+    evaluation = evaluated(mocap_library(3, 3, 25), predictor=("current", "reaching"), every=4, percents=(30, 60))
+    now, unseen = evaluation["predictors"]
+    assert unseen["refused_postures"] == 0
+    assert unseen["average"]["missed"] < 0.5 * now["average"]["missed"]
 
 
 @pytest.mark.usefixtures("in_this_process")
 def test_two_motions_to_each_of_two_places_are_enough_to_learn_how_people_reach() -> None:
-    settings = SETTINGS.replaced(predictor=("current", "reaching"), percents=(30, 60), every=1)
-    now, told = evaluate_occupancy(small_library(2, 2, 30, there_and_back=True), settings).predictors
-    assert len(told.motions) == 4
-    assert told.unlisted is not None
-    assert float(told.average.brier) < float(now.average.brier)
+    few = small_library(2, 2, 30, there_and_back=True)
+    now, told = evaluated(few, predictor=("current", "reaching"), percents=(30, 60), every=1)["predictors"]
+    assert len(told["motions"]) == 4
+    assert told["unlisted"] is not None
+    assert told["average"]["brier"] < now["average"]["brier"]
 
 
 @pytest.mark.usefixtures("in_this_process")
@@ -296,15 +280,15 @@ def test_a_motion_that_is_there_twice_is_refused_by_who_learns() -> None:
 @pytest.mark.usefixtures("in_this_process")
 def test_until_the_apex_there_is_less_to_sweep() -> None:
     whole, reach = evaluated(predictor=("current",)), evaluated(predictor=("current",), until="apex")
-    assert float(reach.predictors[0].average.n_swept) < float(whole.predictors[0].average.n_swept)
+    assert reach["predictors"][0]["average"]["n_swept"] < whole["predictors"][0]["average"]["n_swept"]
 
 
 @pytest.mark.usefixtures("in_this_process")
 def test_a_scene_gives_grid_and_placement() -> None:
     evaluation = evaluated(predictor=("current",), scene="four_places", every=12)
-    assert evaluation.setup.grid.origin_m == (-2.0, -3.0, -0.4)
-    assert evaluation.setup.T_world_human[0, 3] == 0.10
-    assert float(evaluation.predictors[0].average.n_swept) > 1000
+    assert evaluation["lattice"].origin_m == (-2.0, -3.0, -0.4)
+    assert evaluation["T_world_human"][0, 3] == 0.10
+    assert evaluation["predictors"][0]["average"]["n_swept"] > 1000
 
 
 @pytest.mark.usefixtures("in_this_process")
@@ -315,16 +299,15 @@ def test_mistracked_motions_are_tested_and_told_apart() -> None:
         for m in library()
     )
     spoilt = MotionLibrary("spoilt", motions)
-    settings = SETTINGS.replaced(predictor=("current", "swept_volume"))
-    with_all = evaluate_occupancy(spoilt, settings)
-    cleaned = evaluate_occupancy(spoilt, settings.replaced(clean_training=True))
+    with_all = evaluated(spoilt, predictor=("current", "swept_volume"))
+    cleaned = evaluated(spoilt, predictor=("current", "swept_volume"), clean_training=True)
     for evaluation in (with_all, cleaned):
-        assert "10/2" in evaluation.tested
-        assert evaluation.mistracked == ("10/2",)
-        assert evaluation.predictors[0].without_mistracked is not None
-        assert evaluation.setup.picture[0] != "10/2"
-    assert float(cleaned.predictors[1].average.brier) < float(with_all.predictors[1].average.brier)
-    assert float(cleaned.predictors[0].average.brier) == float(with_all.predictors[0].average.brier)
+        assert "10/2" in evaluation["tested"]
+        assert evaluation["mistracked"] == ("10/2",)
+        assert evaluation["predictors"][0]["without_mistracked"] is not None
+        assert evaluation["picture"] != "10/2"
+    assert cleaned["predictors"][1]["average"]["brier"] < with_all["predictors"][1]["average"]["brier"]
+    assert cleaned["predictors"][0]["average"]["brier"] == with_all["predictors"][0]["average"]["brier"]
 
 
 @pytest.mark.usefixtures("in_this_process")
@@ -359,7 +342,7 @@ def test_a_class_too_small_is_named_before_any_work() -> None:
     with pytest.raises(LibraryFormatError, match=r"for reaching at least 2 motions in every class"):
         evaluate_occupancy(small_library(3, 1, 20), SETTINGS.replaced(predictor=("reaching",)))
     # The baselines learn nothing.
-    assert evaluate_occupancy(small_library(1, 1, 20), SETTINGS.replaced(predictor=("current",))).tested == ("0/0",)
+    assert evaluated(small_library(1, 1, 20), predictor=("current",))["tested"] == ("0/0",)
 
 
 @pytest.mark.usefixtures("in_this_process")

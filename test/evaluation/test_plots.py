@@ -2,49 +2,35 @@
 
 from __future__ import annotations
 
-import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 
-from humanpred_ros.evaluation.occupancy_scores import CalibrationTable, Picture, PredictorResult, VoxelFigures
-from humanpred_ros.evaluation.plots import Moment, occupancy_plot, recognition_plot
-from humanpred_ros.evaluation.published import ReferenceCurve
-from humanpred_ros.evaluation.recognition_scores import (
-    Calibration,
-    ClassifierResult,
-    CurveFigures,
-    UnknownScore,
-)
+from humanpred_ros.evaluation.occupancy_report import Moment, occupancy_plot
+from humanpred_ros.evaluation.recognition_report import recognition_plot
+from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.viewing.figures import report_style
 
 SHARES = np.arange(1, 101) / 100
-FIGURES = CurveFigures(30, None, 0.8, 0.9)
 
 
-def classifier(name: str, *, speaks: bool, first: int | None = 30) -> ClassifierResult:
+def classifier(name: str, *, speaks: bool, first: int | None = 30) -> dict[str, Any]:
     bins = np.arange(10)
     confidence = np.where(bins < 2, np.nan, bins / 10 + 0.05)
     quartiles = np.stack([0.2 * SHARES, 0.5 * SHARES, 0.8 * SHARES])
-    everything = {field.name: None for field in dataclasses.fields(ClassifierResult)}
-    calibration = Calibration(0.04, 0.03, 0.0, 0.0, SHARES, bins * 10, confidence, confidence)
-    unknown = UnknownScore(speaks, 0.5, SHARES, SHARES, SHARES, SHARES, 0.9, {}, {}, quartiles)
-    figures = dataclasses.replace(FIGURES, first_50_percent=first)
-    return ClassifierResult(  # type: ignore[arg-type]
-        **{
-            **everything,
-            "name": name,
-            "rate": SHARES**0.5,
-            "figures": figures,
-            "calibration": calibration,
-            "unknown_quartiles": 0.2 * quartiles,
-            "unknown": unknown,
-        }
-    )
+    return {
+        "name": name,
+        "rate": SHARES**0.5,
+        "figures": {"first_50_percent": first},
+        "calibration": {"error_pooled": 0.03, "count": bins * 10, "confidence": confidence, "right": confidence},
+        "unknown_quartiles": 0.2 * quartiles,
+        "unknown": {"says_something": speaks, "quartiles": quartiles},
+    }
 
 
 def test_recognition_stands_beside_the_published_curve() -> None:
-    published = ReferenceCurve("made up", SHARES, dataclasses.replace(FIGURES, first_50_percent=50))
+    published = {"rate": SHARES, "figures": {"first_50_percent": 50}}
     with report_style():
         figure = recognition_plot([classifier("gmm", speaks=False), classifier("new", speaks=True)], published)
     rates, reliability, unknown = figure.axes
@@ -71,31 +57,28 @@ def test_nothing_said_is_said_so_and_never_is_never() -> None:
 PERCENTS = (10, 40, 70)
 
 
-def predictor(name: str, *, drawn: bool = True) -> PredictorResult:
+def predictor(name: str) -> dict[str, Any]:
     bins = np.arange(11) / 10 - 0.05
-    above = np.zeros((30, 40), dtype=np.float32)
-    above[10:20, 15:22] = 0.4
-    above[0, 0] = 0.01  # far away and next to nothing
     count = np.where(bins < 0.3, 0.0, 100 * bins)
-    table = CalibrationTable((), count, bins, bins**2, 0.0, 0.07)
-    nothing = np.zeros(3)
-    missed = np.array([0.3, np.nan, 0.1])
-    at_percent = VoxelFigures(nothing, np.array([300.0, 200.0, 100.0]), nothing, nothing, missed, nothing, nothing)
-    picture = Picture(40, above, above) if drawn else None
-    everything = {field.name: None for field in dataclasses.fields(PredictorResult)}
-    found = {"name": name, "at_percent": at_percent, "calibration": table, "picture": picture}
-    return PredictorResult(**{**everything, **found})  # type: ignore[arg-type]
+    return {
+        "name": name,
+        "at_percent": {"squared_error": np.array([300.0, 200.0, 100.0]), "missed": np.array([0.3, np.nan, 0.1])},
+        "calibration": {"count": count, "mean_probability": bins, "observed": bins**2, "error_predicted": 0.07},
+    }
 
 
-def moment() -> Moment:
-    swept = np.zeros((30, 40), dtype=np.float32)
-    swept[12:18, 14:20] = 1.0
-    return Moment("motion 3/4, 40 % seen", swept, (1.0, -2.0, 0.0), 0.05)
+def moment(*names: str, swept: float = 1.0, predicted: float = 0.4) -> Moment:
+    above = np.zeros((2, 30, 40), dtype=np.float32)
+    above[0, 12:18, 14:20] = swept
+    above[1, 10:20, 15:22] = predicted
+    above[1, 0, 0] = 0.01  # far away and next to nothing
+    grid = VoxelGrid((1.0, -2.0, 0.0), 0.05, (30, 40, 8))
+    return Moment("motion 3/4, 40 % seen", dict.fromkeys(names, above), grid)
 
 
 def test_every_predictor_has_its_curves_and_its_picture() -> None:
     with report_style():
-        figure = occupancy_plot(PERCENTS, [predictor("current"), predictor("p1")], moment())
+        figure = occupancy_plot(PERCENTS, [predictor("current"), predictor("p1")], moment("current", "p1"))
     upper, lower = figure.subfigs
     errors, missed, reliability = upper.axes
     assert [text.get_text() for text in upper.legends[0].get_texts()] == ["current", "p1"]
@@ -110,6 +93,6 @@ def test_every_predictor_has_its_curves_and_its_picture() -> None:
 
 
 def test_without_a_moment_there_is_no_second_row_and_nothing_swept_can_be_drawn() -> None:
-    assert len(occupancy_plot(PERCENTS, [predictor("current", drawn=False)], None).subfigs[0].axes) == 3
-    nothing = Moment("gone", np.zeros((30, 40), dtype=np.float32), (0.0, 0.0, 0.0), 0.05)
+    assert len(occupancy_plot(PERCENTS, [predictor("current")], None).subfigs[0].axes) == 3
+    nothing = moment("current", swept=0.0, predicted=0.0)
     occupancy_plot(PERCENTS, [predictor("current")], nothing).draw_without_rendering()

@@ -132,8 +132,8 @@ def test_advice_concerns_the_library_of_that_name_only(tmp_path: Path) -> None:
 def test_the_published_curve_has_the_published_figures() -> None:
     published = reference_beside(shared_data("iros2013/library_b"))
     assert published is not None
-    assert published.figures.first_50_percent == 43  # P1 Fig. 6
-    assert published.rate[[59, 79, 86]] == pytest.approx([0.84, 0.89, 0.92], abs=0.016)
+    assert published["figures"]["first_50_percent"] == 43  # P1 Fig. 6
+    assert published["rate"][[59, 79, 86]] == pytest.approx([0.84, 0.89, 0.92], abs=0.016)
 
 
 def test_of_two_classes_the_unknown_motions_are_left_out_and_that_is_said(tmp_path: Path) -> None:

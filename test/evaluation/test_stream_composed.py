@@ -12,7 +12,7 @@ from small_library import DOF_NAMES, REST, small_library
 
 from humanpred_ros.errors import LibraryFormatError, MotionError, UsageError
 from humanpred_ros.evaluation.standing import StandingNoise, median_slope, motion_span, palm_speed, standing_noise
-from humanpred_ros.evaluation.stream_composed import Stream, build_stream, returns_home, standing_stream
+from humanpred_ros.evaluation.stream_composed import Stream, StreamBuilder, returns_home, standing_stream
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 
@@ -44,7 +44,7 @@ def noise(there_and_back: bool = True) -> StandingNoise:
 def stream(there_and_back: bool = True, seed: int = 0) -> Stream:
     motions = [motion for motion in library(there_and_back) if motion.index == 1]
     rng = np.random.default_rng(seed)
-    return build_stream(motions, human(), noise(there_and_back), rng, come_back=there_and_back)
+    return StreamBuilder(human(), noise(there_and_back), rng, there_and_back).build(motions)
 
 
 def reach(t: np.ndarray, start_s: float, duration_s: float) -> np.ndarray:
@@ -144,7 +144,7 @@ def test_what_lies_between_true_onsets_and_ends_is_all_that_moves(seed: int, the
 def test_pauses_are_as_long_as_asked() -> None:
     motions = [motion for motion in library() if motion.index == 1]
     rng = np.random.default_rng(0)
-    found = build_stream(motions, human(), noise(), rng, come_back=True, pause_s=(2.0, 2.0), lead_s=1.0)
+    found = StreamBuilder(human(), noise(), rng, True, pause_s=(2.0, 2.0), lead_s=1.0).build(motions)
     assert found.placed[0].start_s == pytest.approx(3.0, abs=0.1)
     for one, following in zip(found.placed, found.placed[1:], strict=False):
         assert 2.0 < following.start_s - one.stop_s < 2.0 + 1.5 + 0.1  # pause and closing stroke
@@ -163,7 +163,7 @@ def test_angles_that_wrap_do_so_in_the_stream_too() -> None:
         q = motion.q.copy()
         q[:, TWIST] += np.pi - 0.05 if k % 2 else -np.pi + 0.25
         motions.append(motion.with_postures(np.where(np.abs(q) > np.pi, q - 2 * np.pi * np.sign(q), q)))
-    found = build_stream(motions, human(), noise(), np.random.default_rng(0), come_back=True)
+    found = StreamBuilder(human(), noise(), np.random.default_rng(0), True).build(motions)
     assert np.abs(found.q[:, TWIST]).max() <= np.pi
     palm = human().forward(found.q)["right_palm"]
     assert np.linalg.norm(np.diff(palm, axis=0), axis=1).max() < 0.12
@@ -207,6 +207,6 @@ def test_a_few_bad_frames_do_not_tilt_a_line() -> None:
 def test_impossible_requests_are_refused() -> None:
     rng = np.random.default_rng(0)
     with pytest.raises(UsageError, match="motion"):
-        build_stream([], human(), noise(), rng, come_back=True)
+        StreamBuilder(human(), noise(), rng, True).build([])
     with pytest.raises(UsageError, match="pauses"):
-        build_stream(library().motions, human(), noise(), rng, come_back=True, pause_s=(0.0, 1.0))
+        StreamBuilder(human(), noise(), rng, True, pause_s=(0.0, 1.0)).build(library().motions)

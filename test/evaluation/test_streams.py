@@ -52,9 +52,9 @@ def test_streams_are_evaluated_written_and_drawn(library: Path, tmp_path: Path, 
 
 def test_without_a_classifier_only_onsets_and_ends_are_looked_at(in_this_process: None) -> None:
     found = evaluate_streams(resting_first(3), StreamSettings(library="", classifier="none", standing=0.1))
-    assert found.recognition is None
-    assert found.stream_us is None
-    assert found.variants[0].groups["flagged"] is None
+    assert found["recognition"] is None
+    assert found["stream_us"] is None
+    assert found["variants"][0]["groups"]["flagged"] is None
 
 
 def test_what_cannot_be_left_out_is_refused() -> None:

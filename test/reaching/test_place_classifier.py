@@ -20,7 +20,7 @@ from humanpred_ros.errors import (
     MotionError,
     UsageError,
 )
-from humanpred_ros.evaluation.recognition_runs import at_speed
+from humanpred_ros.evaluation.leave_one_out import at_speed
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary, placed, turn_and_shift

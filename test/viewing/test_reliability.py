@@ -102,7 +102,7 @@ def test_figures_are_those_of_the_evaluation_over_libraries(full: Run, scene: Sc
     """`humanpred evaluate occupancy` scores dense grids; what it says of these predictions is what the run says."""
     assert reliability.MISSED_BELOW == occupancy_scores.MISSED_BELOW
     assert (0.0, *reliability.BIN_EDGES) == occupancy_scores.BIN_EDGES
-    table, squared, missed, swept, n = occupancy_scores.Reliability.none(), 0.0, 0.0, 0, 0
+    counts, squared, missed, swept, n = np.zeros(1), 0.0, 0.0, 0, 0
     for sample in full.occupancy.samples:
         if sample.t_s > REACH_S + 1e-6:
             continue
@@ -110,15 +110,17 @@ def test_figures_are_those_of_the_evaluation_over_libraries(full: Run, scene: Sc
         p[scene.grid.flat_index(sample.centres_m)] = sample.probability
         y = future[int(np.argmin(np.abs(full.postures.t_s - sample.t_s)))]
         scores = occupancy_scores.voxel_scores(p, y, y | (p > 0.0))
-        table, squared, n = table + scores.reliability, squared + scores.squared_error, n + 1
-        missed, swept = missed + scores.missed * scores.n_swept, swept + scores.n_swept
+        counts = counts + occupancy_scores.reliability(p, y, y | (p > 0.0))
+        squared, n = squared + scores["squared_error"], n + 1
+        missed, swept = missed + scores["missed"] * scores["n_swept"], swept + scores["n_swept"]
+    table = occupancy_scores.calibration(counts)
     part = measured(full)[MOVING]
     assert part.occupancies == n > 50
-    assert part.error == pytest.approx(table.error_predicted, abs=1e-4)
+    assert part.error == pytest.approx(table["error_predicted"], abs=1e-4)
     assert part.missed == pytest.approx(missed / swept, abs=1e-4)
     assert part.squared_error == pytest.approx(squared / n, rel=1e-3)
     for row, count, mean, observed in zip(
-        part.bins, table.count[1:], table.mean_probability[1:], table.observed[1:], strict=True
+        part.bins, table["count"][1:], table["mean_probability"][1:], table["observed"][1:], strict=True
     ):
         assert row.count == count
         if count:
