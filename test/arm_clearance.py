@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from humanpred_ros.geometry.chain import BodySpheres
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.distance_field import SignedDistanceField
-from humanpred_ros.geometry.shapes import Obstacle
+from humanpred_ros.geometry.solids import Obstacle
 from humanpred_ros.robot.clearance import Approach, nearest_approaches
 from humanpred_ros.robot.pr2 import Pr2Arm
 

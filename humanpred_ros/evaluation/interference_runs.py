@@ -256,6 +256,6 @@ def _least_distance(
         spheres = scene.arm.spheres()
         centres = spheres.world_m(scene.arm.chain, trajectory.q)
         for obstacle in (*scene.obstacles, *scene.arm.fixed_obstacles):
-            if (obstacle.shape.distance(centres) - spheres.radius_m).min() < 0.0:
+            if (obstacle.distance_m(centres) - spheres.radius_m).min() < 0.0:
                 return -np.inf
     return evaluator.meter.measure(trajectory.sample(evaluator.t_s)[0]).least_m

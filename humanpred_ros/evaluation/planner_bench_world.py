@@ -17,7 +17,7 @@ from humanpred_ros.geometry.chain import BodyPoints, BodySpheres
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.distance_field import SignedDistanceField, build_distance_field
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
+from humanpred_ros.geometry.solids import Box, Obstacle, planar_pose
 from humanpred_ros.planning.path import straight
 from humanpred_ros.robot.pr2 import BODY_POINT_SPACING_M, Pr2Arm
 from humanpred_ros.robot.scene import Scene, load_scene
@@ -115,7 +115,7 @@ def _surroundings() -> tuple[Scene, SignedDistanceField, SignedDistanceField]:
     scene = load_scene(SCENE)
     faces_m = {"lower board": _LOWER_BOARD_M - _THICKNESS_M / 2.0, "upper board": _UPPER_BOARD_M + _THICKNESS_M / 2.0}
     size = np.array((*_BOARD_SIZE_M, _THICKNESS_M))
-    boards = [Obstacle(name, Box(planar_pose(*_BOARD_CENTRE_M, z, 0.0), size)) for name, z in faces_m.items()]
+    boards = [Obstacle(name, Box(*size), planar_pose(*_BOARD_CENTRE_M, z)) for name, z in faces_m.items()]
     centre, radius = scene.arm.reach
     shelf = build_distance_field(boards, centre - radius, centre + radius)
     near = SignedDistanceField(shelf.origin_m, shelf.resolution_m, np.minimum(shelf.values, np.float32(_NEAR_M)))

@@ -178,7 +178,7 @@ class RunEvaluator:
         spheres = self.scene.arm.spheres()
         centres = spheres.world_m(self.scene.arm.chain, path)
         return {
-            obstacle.name: float((obstacle.shape.distance(centres) - spheres.radius_m).min())
+            obstacle.name: float((obstacle.distance_m(centres) - spheres.radius_m).min())
             for obstacle in self.scene.obstacles
         }
 

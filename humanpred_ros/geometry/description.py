@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.geometry.capsules import Box, Shape
 from humanpred_ros.geometry.chain import KinematicChain, inverse_pose
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.joints import Joints
+from humanpred_ros.geometry.solids import Box, Shape
 
 TURNING, SLIDING = ("revolute", "continuous"), ("prismatic",)
 
@@ -54,8 +54,7 @@ class Body:
                 f"robot: wanted collision meshes or boxes, got a {type(self.shape).__name__} on {self.link}; "
                 "describe that link by a mesh or a box in the URDF"
             )
-        half_m = np.array([self.shape.x_m, self.shape.y_m, self.shape.z_m]) / 2.0
-        triangles: FloatArray = (_BOX_CORNERS * half_m)[_BOX_TRIANGLES]
+        triangles: FloatArray = (_BOX_CORNERS * self.shape.half_m)[_BOX_TRIANGLES]
         return triangles
 
 

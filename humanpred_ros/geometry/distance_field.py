@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
-from humanpred_ros.geometry.shapes import Obstacle, Shape
+from humanpred_ros.geometry.solids import Obstacle
 
 DEFAULT_RESOLUTION_M = 0.025
 """Half the voxel edge of the paper's distance transform (docs/papers.md, P1 occupancy: 0.05 m)."""
@@ -111,28 +111,26 @@ def build_distance_field(
     nodes = [origin[axis] + resolution_m * np.arange(shape[axis]) for axis in range(3)]
     values = np.full(shape, cap_m, dtype=np.float32)
     for obstacle in obstacles:
-        centre, half = obstacle.shape.T_world_shape[:3, 3], obstacle.shape.half_extent_m
+        centre, half = obstacle.T_world_shape[:3, 3], obstacle.half_extent_m
         near = [
             slice(*np.searchsorted(nodes[axis], (centre[axis] - half[axis] - cap_m, centre[axis] + half[axis] + cap_m)))
             for axis in range(3)
         ]
-        _lower_to(
-            values[near[0], near[1], near[2]], [n[part] for n, part in zip(nodes, near, strict=True)], obstacle.shape
-        )
+        _lower_to(values[near[0], near[1], near[2]], [n[part] for n, part in zip(nodes, near, strict=True)], obstacle)
     return SignedDistanceField(origin, resolution_m, values)
 
 
-def _lower_to(values: NDArray[np.float32], nodes: Sequence[FloatArray], shape: Shape) -> None:
-    """Lower the nodes' values to their distance from one more shape.
+def _lower_to(values: NDArray[np.float32], nodes: Sequence[FloatArray], obstacle: Obstacle) -> None:
+    """Lower the nodes' values to their distance from one more obstacle.
 
     On a lattice a shape's own coordinates are sums of one term per axis, which saves most of the
     arithmetic; and one plane of nodes at a time keeps the temporaries in the cache.
     """
-    T = shape.T_world_shape
+    T = obstacle.T_world_shape
     along_x, along_y, along_z = (
         (T[axis, :3, None] * (nodes[axis] - T[axis, 3])).astype(np.float32) for axis in range(3)
     )
     planes = along_y[:, :, None] + along_z[:, None, :]
     for i in range(len(values)):
-        distance = shape.local_distance(*(along_x[:, i, None, None] + planes))
+        distance = obstacle.shape.local_distance(*(along_x[:, i, None, None] + planes))
         np.minimum(values[i], distance, out=values[i])

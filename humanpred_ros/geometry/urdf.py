@@ -28,10 +28,10 @@ from xml.etree import ElementTree
 import numpy as np
 
 from humanpred_ros.errors import HumanPredError, UsageError
-from humanpred_ros.geometry import capsules, description
-from humanpred_ros.geometry.capsules import Box, Capsule, EllipticCylinder, Shape, Sphere
+from humanpred_ros.geometry import description, solids
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.description import Body, Description, MeshBody, Mimic
+from humanpred_ros.geometry.solids import Box, Capsule, EllipticCylinder, Shape, Sphere
 from humanpred_ros.resources import cache_root
 
 _PR2_URDF = Path("share", "example-robot-data", "robots", "pr2_description", "urdf", "pr2.urdf")
@@ -263,7 +263,7 @@ def _entry(key: str) -> Path | None:
     root = cache_root()
     if root is None:
         return None
-    code = b"".join(Path(str(module)).read_bytes() for module in (__file__, description.__file__, capsules.__file__))
+    code = b"".join(Path(str(module)).read_bytes() for module in (__file__, description.__file__, solids.__file__))
     version = hashlib.sha256(code + np.__version__.encode()).hexdigest()[:16]
     return root / f"descriptions-{version}" / f"{key[:32]}.pickle"
 

@@ -14,7 +14,7 @@ from humanpred_ros import plugins
 from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.geometry.shapes import Obstacle
+from humanpred_ros.geometry.solids import Obstacle
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humanpred_ros.errors import HumanModelError
-from humanpred_ros.geometry.capsules import Box, Capsule, EllipticCylinder, Sphere
 from humanpred_ros.geometry.checks import FloatArray, frozen
 from humanpred_ros.geometry.description import Body
+from humanpred_ros.geometry.solids import Box, Capsule, EllipticCylinder, Sphere
 from humanpred_ros.human.chain_points import ChainPoints
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching.features import LINK_POINTS

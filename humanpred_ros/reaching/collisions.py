@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.shapes import Cylinder, Obstacle
+from humanpred_ros.geometry.solids import EllipticCylinder, Obstacle
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching import collision_kernels as kernels
 from humanpred_ros.reaching.body import MOVING_BODIES, BodyCapsules, ReachBody
@@ -154,10 +154,10 @@ class SampleCollisions:
 
 def _packed(obstacles: Sequence[Obstacle]) -> tuple[NDArray[Any], ...]:
     """Return kinds, rotations from the world, centres and half sizes, as the kernels want them."""
-    shapes = [obstacle.shape for obstacle in obstacles]
-    kind = np.array([kernels.CYLINDER if isinstance(s, Cylinder) else kernels.BOX for s in shapes], dtype=np.int64)
-    T = np.array([shape.T_world_shape for shape in shapes]).reshape(-1, 4, 4)
-    half = [(s.radius_m, 0.0, s.height_m / 2.0) if isinstance(s, Cylinder) else tuple(s.size_m / 2.0) for s in shapes]
+    round_ = [isinstance(obstacle.shape, EllipticCylinder) for obstacle in obstacles]
+    kind = np.where(round_, kernels.CYLINDER, kernels.BOX).astype(np.int64)
+    T = np.array([obstacle.T_world_shape for obstacle in obstacles]).reshape(-1, 4, 4)
+    half = [obstacle.shape.half_m for obstacle in obstacles]
     return (
         kind,
         np.ascontiguousarray(T[:, :3, :3].transpose(0, 2, 1), dtype=np.float32),

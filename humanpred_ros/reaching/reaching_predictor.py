@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.geometry.shapes import Obstacle
+from humanpred_ros.geometry.solids import Obstacle
 from humanpred_ros.occupancy.predictor import Prediction, Predictor, PredictorRequest
 from humanpred_ros.occupancy.sampled_futures import SampledFutures, SweepSettings
 from humanpred_ros.occupancy.voxeliser import checked_placement

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from humanpred_ros.errors import SceneError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.geometry.distance_field import SignedDistanceField, build_distance_field
-from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
+from humanpred_ros.geometry.solids import Box, Obstacle, planar_pose
 from humanpred_ros.reaching.cost_kernels import lower_to_capsules
 
 #: Larger distances are not told apart: the clearance, the radius of the thickest body, and the interpolation's error.
@@ -65,7 +65,7 @@ class Surroundings:
                 f"{self.upper_m} and {self.resolution_m}"
             )
         # Without obstacles one far below keeps the lattice's size; all distances are then the cap.
-        far = Obstacle("none", Box(planar_pose(self.lower_m[0], self.lower_m[1], self.lower_m[2] - 10.0), np.ones(3)))
+        far = Obstacle("none", Box(1.0, 1.0, 1.0), planar_pose(*(self.lower_m - [0.0, 0.0, 10.0])))
         field = build_distance_field(
             self.obstacles or (far,), self.lower_m, self.upper_m, self.resolution_m, cap_m=CAP_M
         )
@@ -84,14 +84,11 @@ class Surroundings:
             ArrayError: a transform that is not rigid.
         """
         move = checked("surroundings: transform", T, (4, 4))
-        moved = tuple(
-            Obstacle(obstacle.name, replace(obstacle.shape, T_world_shape=move @ obstacle.shape.T_world_shape))
-            for obstacle in obstacles
-        )
+        moved = tuple(replace(obstacle, T_world_shape=move @ obstacle.T_world_shape) for obstacle in obstacles)
         if not moved:
             return cls.empty()
-        centre = np.array([obstacle.shape.T_world_shape[:3, 3] for obstacle in moved])
-        half = np.array([obstacle.shape.half_extent_m for obstacle in moved])
+        centre = np.array([obstacle.T_world_shape[:3, 3] for obstacle in moved])
+        half = np.array([obstacle.half_extent_m for obstacle in moved])
         return cls(moved, (centre - half).min(axis=0) - _AROUND_M, (centre + half).max(axis=0) + _AROUND_M)
 
     @classmethod
@@ -138,5 +135,5 @@ class Surroundings:
 @lru_cache(maxsize=1)
 def _of_p2() -> Surroundings:
     T = planar_pose(*_TABLE_PLACE)
-    table = (Obstacle(name, Box(T @ planar_pose(*centre), np.array(size))) for name, size, centre in _TABLE_BOXES)
+    table = (Obstacle(name, Box(*size), T @ planar_pose(*centre)) for name, size, centre in _TABLE_BOXES)
     return Surroundings(tuple(table), np.array(_REGION_M[0]), np.array(_REGION_M[1]))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from humanpred_ros.errors import ArrayError, HumanModelError
 from humanpred_ros.geometry.chain import BodyPoints, BodySpheres
 from humanpred_ros.geometry.checks import FloatArray, checked
-from humanpred_ros.geometry.shapes import Obstacle
+from humanpred_ros.geometry.solids import Obstacle
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.robot.pr2 import Pr2Arm
 
@@ -39,7 +39,7 @@ def nearest_approaches(
     if not obstacles:
         raise ArrayError("nearest approach: wanted at least one obstacle, got none")
     centres = spheres.world_m(arm.chain, q)
-    clearance = np.stack([obstacle.shape.distance(centres) for obstacle in obstacles], axis=1) - spheres.radius_m
+    clearance = np.stack([obstacle.distance_m(centres) for obstacle in obstacles], axis=1) - spheres.radius_m
     found = []
     for one in clearance:
         which, sphere = divmod(int(np.argmin(one)), len(spheres))

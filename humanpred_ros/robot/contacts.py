@@ -18,7 +18,7 @@ from humanpred_ros.geometry.chain import BodyBoxes, BodySpheres, KinematicChain
 from humanpred_ros.geometry.chain_kernels import link_poses
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.compiled import exact
-from humanpred_ros.geometry.shapes import Obstacle
+from humanpred_ros.geometry.solids import Obstacle
 from humanpred_ros.robot.clearance import Approach, nearest_approaches
 from humanpred_ros.robot.pr2 import Pr2Arm
 

@@ -16,7 +16,7 @@ from humanpred_ros.errors import GoalUnreachableError, SceneError
 from humanpred_ros.geometry.chain import BodyBoxes, BodyPoints, BodySpheres, KinematicChain, reach_m
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.description import LinkSurface, PlacedDescription
-from humanpred_ros.geometry.shapes import Box, Obstacle
+from humanpred_ros.geometry.solids import Box, Obstacle
 from humanpred_ros.geometry.urdf import find_pr2_urdf, read_description
 from humanpred_ros.robot.surface import Bounds, covering_boxes, covering_spheres, sample
 
@@ -155,7 +155,7 @@ class Pr2Arm:
             for lower, upper in boxes:
                 T_world_box = T_world_frame.copy()
                 T_world_box[:3, 3] += T_world_frame[:3, :3] @ ((lower + upper) / 2.0)
-                obstacles.append(Obstacle(surface.link, Box(T_world_box, upper - lower)))
+                obstacles.append(Obstacle(surface.link, Box(*(upper - lower)), T_world_box))
         return tuple(obstacles)
 
     @cached_property

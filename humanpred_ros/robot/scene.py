@@ -17,11 +17,11 @@ from humanpred_ros.errors import ArrayError, GoalUnreachableError, SceneError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.geometry.distance_field import DEFAULT_RESOLUTION_M, SignedDistanceField, build_distance_field
 from humanpred_ros.geometry.lattice import VoxelGrid
-from humanpred_ros.geometry.shapes import Box, Cylinder, Obstacle, planar_pose
+from humanpred_ros.geometry.solids import Box, Obstacle, cylinder, planar_pose
 from humanpred_ros.robot.contacts import nearest_contacts, shoulder_approach
 from humanpred_ros.robot.goals import Goal, tool_goal
 from humanpred_ros.robot.pr2 import Pr2Arm
-from humanpred_ros.robot.scene_file import GoalSection, SceneFile, TableSection, read_scene_file
+from humanpred_ros.robot.scene_file import GoalSection, SceneFile, read_scene_file
 
 #: Distances beyond this need not be told apart: links are skipped, and movements proven free, well below it, m.
 _FIELD_CAP_M = 0.5
@@ -191,15 +191,14 @@ def _scene(file: SceneFile) -> Scene:
         file.robot.angle("left_arm"),
     )
     start = arm.check_configuration(file.angle("start"), f"start of scene {file.name}")
-    table = Obstacle("table", _table(file.table))
+    top, size = file.table.top_centre_m, file.table.size_m
+    T_world_table = planar_pose(top[0], top[1], top[2] - size[2] / 2.0, float(file.table.angle("yaw")))
+    table = Obstacle("table", Box(*size), T_world_table)
     objects = tuple(
         Obstacle(
             entry.name,
-            Cylinder(
-                planar_pose(entry.base_m[0], entry.base_m[1], entry.base_m[2] + entry.height_m / 2.0),
-                entry.radius_m,
-                entry.height_m,
-            ),
+            cylinder(entry.radius_m, entry.height_m),
+            planar_pose(entry.base_m[0], entry.base_m[1], entry.base_m[2] + entry.height_m / 2.0),
         )
         for entry in file.objects
     )
@@ -214,12 +213,6 @@ def _scene(file: SceneFile) -> Scene:
         grid=VoxelGrid(file.grid.origin_m, file.grid.resolution_m, file.grid.shape),
         places=tuple(Place(entry.label, np.array(entry.place_m)) for entry in file.places),
     )
-
-
-def _table(section: TableSection) -> Box:
-    top, size = section.top_centre_m, section.size_m
-    pose = planar_pose(top[0], top[1], top[2] - size[2] / 2.0, float(section.angle("yaw")))
-    return Box(pose, np.array(size))
 
 
 def _goal(section: GoalSection, arm: Pr2Arm, start: FloatArray, obstacles: Sequence[Obstacle]) -> Goal:

@@ -16,6 +16,7 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    PositiveFloat,
     StrictInt,
     ValidationError,
     model_validator,
@@ -130,7 +131,7 @@ class TableSection(Section):
 
     optional_angles = ("yaw",)
     top_centre_m: Triple = Field(description="Middle of its upper face, world frame (m)")
-    size_m: Triple = Field(description="Lengths along its own axes (m)")
+    size_m: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = Field(description="Lengths along its own axes (m)")
     yaw_rad: float | None = Field(None, description="Turn about the vertical (rad)")
     yaw_deg: float | None = Field(None, description="The same in degrees")
 
@@ -140,8 +141,8 @@ class ObjectSection(Section):
 
     name: Name = Field(description="What messages call it")
     base_m: Triple = Field(description="Middle of its lower face, world frame (m)")
-    radius_m: float
-    height_m: float
+    radius_m: float = Field(gt=0.0)
+    height_m: float = Field(gt=0.0)
 
 
 class HumanSection(Section):

@@ -14,7 +14,7 @@ from matplotlib.ticker import MultipleLocator
 from scipy.spatial import ConvexHull
 
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.shapes import Cylinder, Obstacle
+from humanpred_ros.geometry.solids import EllipticCylinder, Obstacle
 from humanpred_ros.viewing.analysis import Analysis, RunSummary
 from humanpred_ros.viewing.figures import ALARM, INK, MUTED, WIDTH_IN, empty_figure, goal_colours, new_figure
 from humanpred_ros.viewing.recorded import OccupancySnapshot
@@ -132,7 +132,7 @@ def _draw_scene(axes: Axes, analysis: Analysis, *, faint: bool = False) -> None:
     hues = {**goal_colours(obstacle.name for obstacle in workcell.obstacles), **analysis.colours}
     for obstacle in workcell.obstacles:
         outline = outline_of(obstacle)
-        if isinstance(obstacle.shape, Cylinder):
+        if isinstance(obstacle.shape, EllipticCylinder):
             hue = _hue_of(obstacle.name, hues)
             axes.add_patch(Polygon(outline, facecolor=hue, alpha=0.35 if faint else 0.8, linewidth=0, zorder=3))
         else:
@@ -208,16 +208,13 @@ def _spacing(centres: FloatArray) -> float:
 
 def outline_of(obstacle: Obstacle) -> FloatArray:
     """Return the outline (N, 2) of an obstacle seen from above, counter-clockwise."""
-    shape = obstacle.shape
-    if isinstance(shape, Cylinder):
+    if isinstance(obstacle.shape, EllipticCylinder):
         angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-        rim = np.stack([shape.radius_m * np.cos(angle), shape.radius_m * np.sin(angle)], axis=1)
-        heights = (-shape.height_m / 2.0, shape.height_m / 2.0)
-        local = np.concatenate([np.column_stack([rim, np.full(len(rim), z)]) for z in heights])
+        rim = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     else:
-        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        local = corners * shape.size_m / 2.0
-    T = shape.T_world_shape
+        rim = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+    local = np.concatenate([np.column_stack([rim, np.full(len(rim), z)]) for z in (-1, 1)]) * obstacle.shape.half_m
+    T = obstacle.T_world_shape
     flat = (local @ T[:3, :3].T + T[:3, 3])[:, :2]
     outline: FloatArray = flat[ConvexHull(flat).vertices]
     return outline

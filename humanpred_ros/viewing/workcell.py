@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 
 from humanpred_ros.errors import HumanModelError, HumanPredError
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.shapes import Obstacle
+from humanpred_ros.geometry.solids import Obstacle
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.robot.pr2 import Pr2Arm
 from humanpred_ros.robot.scene import Scene, load_scene

@@ -173,7 +173,7 @@ def test_clearance_is_to_the_nearest_object() -> None:
     figures = evaluator(person(np.repeat(FAR[None], 5, axis=0))).figures("basic", 0, ExecutedMotion(scene().start), [])
     spheres = scene().arm.spheres()
     centres = spheres.world_m(scene().arm.chain, scene().start)
-    least = {o.name: (o.shape.distance(centres) - spheres.radius_m).min() for o in scene().obstacles}
+    least = {o.name: (o.distance_m(centres) - spheres.radius_m).min() for o in scene().obstacles}
     assert figures.clearance_to == min(least, key=lambda name: least[name])
     assert figures.clearance_m == pytest.approx(min(least.values()))
 

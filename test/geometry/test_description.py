@@ -9,9 +9,8 @@ import pytest
 
 from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry import urdf as reader
-from humanpred_ros.geometry.capsules import Box, Capsule, EllipticCylinder, Sphere
 from humanpred_ros.geometry.description import Description, PlacedDescription
-from humanpred_ros.geometry.shapes import planar_pose
+from humanpred_ros.geometry.solids import Box, Capsule, EllipticCylinder, Sphere, planar_pose
 from humanpred_ros.geometry.urdf import find_pr2_urdf, parse_description, read_description
 
 pytestmark = pytest.mark.core

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.distance_field import SignedDistanceField, build_distance_field
-from humanpred_ros.geometry.shapes import Box, Cylinder, Obstacle, planar_pose
+from humanpred_ros.geometry.solids import Box, Obstacle, cylinder, planar_pose
 
 OBSTACLES = (
-    Obstacle("slab", Box(planar_pose(0.1, 0.0, 0.0, 0.3), [0.8, 0.5, 0.2])),
-    Obstacle("cup", Cylinder(planar_pose(0.0, 0.1, 0.2), 0.06, 0.2)),
+    Obstacle("slab", Box(0.8, 0.5, 0.2), planar_pose(0.1, 0.0, 0.0, 0.3)),
+    Obstacle("cup", cylinder(0.06, 0.2), planar_pose(0.0, 0.1, 0.2)),
 )
 LOWER, UPPER = np.array([-0.6, -0.5, -0.4]), np.array([0.7, 0.6, 0.6])
 RESOLUTION_M = 0.04
@@ -22,7 +22,7 @@ SEED = st.integers(0, 10_000)
 
 
 def exact(points: np.ndarray) -> np.ndarray:
-    return np.min([obstacle.shape.distance(points) for obstacle in OBSTACLES], axis=0)
+    return np.min([obstacle.distance_m(points) for obstacle in OBSTACLES], axis=0)
 
 
 @given(SEED)

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from humanpred_ros.geometry.capsules import Box, Capsule, EllipticCylinder, Sphere
+from humanpred_ros.geometry.solids import Box, Capsule, EllipticCylinder, Sphere
 from humanpred_ros.human.model import HumanModel
 
 

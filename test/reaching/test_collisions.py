@@ -13,7 +13,7 @@ from reaching_people import MODEL, recording
 
 from humanpred_ros.errors import SettingsError
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.shapes import Box, Cylinder, Obstacle, planar_pose
+from humanpred_ros.geometry.solids import Box, Obstacle, cylinder, planar_pose
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
 from humanpred_ros.reaching import collision_kernels as kernels
 from humanpred_ros.reaching.body import MOVING_BODIES, BodyCapsules
@@ -51,15 +51,16 @@ def hand_path(q: FloatArray) -> FloatArray:
 def test_distances_are_those_of_points_along_the_bones(seed: int) -> None:
     rng = np.random.default_rng(seed)
     T = planar_pose(*rng.normal(scale=0.2, size=3), rng.uniform(0.0, 6.0))
-    shape = Box(T, rng.uniform(0.02, 0.6, 3)) if rng.random() < 0.5 else Cylinder(T, *rng.uniform(0.02, 0.4, 2))
+    shape = Box(*rng.uniform(0.02, 0.6, 3)) if rng.random() < 0.5 else cylinder(*rng.uniform(0.02, 0.4, 2))
+    thing = Obstacle("thing", shape, T)
     mine, theirs = rng.normal(scale=0.3, size=(2, 2, 3))
     if rng.random() < 0.2:
         mine[1] = mine[0]  # a sphere
     if rng.random() < 0.2:
         theirs = mine + rng.normal(size=3)  # parallel
-    found = distances(mine, 0.1, [Obstacle("thing", shape)], theirs, 0.05)
+    found = distances(mine, 0.1, [thing], theirs, 0.05)
     points = along(mine)
-    assert found[0] == pytest.approx(shape.distance(points).min() - 0.1, abs=2e-3)
+    assert found[0] == pytest.approx(thing.distance_m(points).min() - 0.1, abs=2e-3)
     apart = np.linalg.norm(points[:, None] - along(theirs)[None], axis=-1).min()
     assert found[1] == pytest.approx(apart - 0.15, abs=2e-3)
 
@@ -94,7 +95,7 @@ def test_samples_that_collide_are_those_whose_bodies_are_in_something(partner: b
         values = []
         for posture in q:
             points = along(moving.placed(MODEL, posture), 15)
-            rows = [obstacle.shape.distance(points).min(axis=1) for obstacle in scene.obstacles]
+            rows = [obstacle.distance_m(points).min(axis=1) for obstacle in scene.obstacles]
             if partner:
                 apart = np.linalg.norm(points[:, :, None] - theirs, axis=-1).min(axis=1) - thick
                 rows += list(apart.reshape(len(points), -1, 15).min(axis=2).T)
@@ -117,7 +118,7 @@ def test_what_was_done_is_never_impossible(seed: int) -> None:
     about = demo(seed)
     rng = np.random.default_rng(seed)
     place = hand_path(about.q)[rng.integers(N)] + rng.normal(scale=0.05, size=3)
-    inside = Surroundings((Obstacle("crate", Box(planar_pose(*place), rng.uniform(0.02, 0.4, 3))),), LOW, HIGH)
+    inside = Surroundings((Obstacle("crate", Box(*rng.uniform(0.02, 0.4, 3)), planar_pose(*place)),), LOW, HIGH)
     for scene in (None, inside):
         assert not ReachCollisions(MODEL, scene).beside(about.q, about.partner).of(about.q[None]).any()
 
@@ -125,7 +126,7 @@ def test_what_was_done_is_never_impossible(seed: int) -> None:
 def crate(about: Demonstration, size_m: float = 0.1) -> Surroundings:
     """A box around where the hand is in the middle of the reach."""
     place = hand_path(about.q)[N // 2]
-    return Surroundings((Obstacle("crate", Box(planar_pose(*place), np.full(3, size_m))),), LOW, HIGH)
+    return Surroundings((Obstacle("crate", Box(size_m, size_m, size_m), planar_pose(*place)),), LOW, HIGH)
 
 
 def test_where_a_demonstration_is_in_something_is_told() -> None:
@@ -148,7 +149,7 @@ def test_where_a_demonstration_is_in_something_is_told() -> None:
 def test_a_sample_may_go_as_deep_as_the_demonstration_and_no_deeper() -> None:
     about = demo()
     height = 2.0 * float(hand_path(about.q)[:, 2].min())  # the palm comes down to its top
-    scene = Surroundings((Obstacle("floor", Box(planar_pose(1.8, 1.2, 0.0), np.array([2.0, 2.0, height]))),), LOW, HIGH)
+    scene = Surroundings((Obstacle("floor", Box(2.0, 2.0, height), planar_pose(1.8, 1.2)),), LOW, HIGH)
     found = ReachCollisions(MODEL, scene, CollisionSettings(partner=False, slack_m=0.005)).beside(
         about.q, about.partner
     )
@@ -163,10 +164,10 @@ def test_a_sample_may_go_as_deep_as_the_demonstration_and_no_deeper() -> None:
 def test_boards_thinner_than_the_planners_lattice_are_seen() -> None:
     about = demo()
     place = hand_path(about.q)[N // 2]
-    board = Box(planar_pose(place[0], place[1], place[2] - 0.2), np.array([0.3, 0.3, 0.01]))
-    found = ReachCollisions(
-        MODEL, Surroundings((Obstacle("board", board),), LOW, HIGH), CollisionSettings(partner=False)
-    ).beside(about.q, about.partner)
+    board = Obstacle("board", Box(0.3, 0.3, 0.01), planar_pose(place[0], place[1], place[2] - 0.2))
+    found = ReachCollisions(MODEL, Surroundings((board,), LOW, HIGH), CollisionSettings(partner=False)).beside(
+        about.q, about.partner
+    )
     lowered = about.q.copy()
     lowered[:, MODEL.dof_names.index("PelvisTransZ")] -= 0.2
     assert found.of(lowered[None]).all()

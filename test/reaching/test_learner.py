@@ -12,7 +12,7 @@ from reaching_people import MODEL, recording
 
 from humanpred_ros import __version__
 from humanpred_ros.errors import HumanModelError, MotionError, SettingsError, UsageError
-from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
+from humanpred_ros.geometry.solids import Box, Obstacle, planar_pose
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import Jump, ReachRecording, load_reach_recordings
 from humanpred_ros.reaching.collisions import CollisionSettings
@@ -168,14 +168,14 @@ def test_what_comes_after_a_jump_is_learned_from_and_said() -> None:
 def crate(entry: ReachRecording, size_m: float = 0.15) -> Surroundings:
     """A box around where the hand is in the middle of the reach."""
     place = MODEL.forward(entry.active.q)["right_palm"][len(entry.active) // 2]
-    box = Box(planar_pose(*place), np.full(3, size_m))
-    return Surroundings((Obstacle("crate", box),), np.array([0.9, 0.3, 0.6]), np.array([2.6, 2.0, 1.9]))
+    box = Obstacle("crate", Box(size_m, size_m, size_m), planar_pose(*place))
+    return Surroundings((box,), np.array([0.9, 0.3, 0.6]), np.array([2.6, 2.0, 1.9]))
 
 
 def test_colliding_samples_are_discarded_and_counted() -> None:
     one = RECORDINGS[0]
-    beside = dataclasses.replace(crate(one).obstacles[0].shape, T_world_shape=planar_pose(1.75, 1.15, 1.05))
-    scene = Surroundings((Obstacle("crate", beside),), np.array([0.9, 0.3, 0.6]), np.array([2.6, 2.0, 1.9]))
+    beside = dataclasses.replace(crate(one).obstacles[0], T_world_shape=planar_pose(1.75, 1.15, 1.05))
+    scene = Surroundings((beside,), np.array([0.9, 0.3, 0.6]), np.array([2.6, 2.0, 1.9]))
     config = CONFIG.replaced(splitting=None, bootstrap=0)
     weights = ReachLearner([one], MODEL, config, scene).learn()
     (discarded,) = weights.provenance["discarded"]
@@ -201,11 +201,9 @@ def narrow(gap_m: float) -> Surroundings:
     """Floor and ceiling that leave the hand of the first recording so much room."""
     heights = MODEL.forward(RECORDINGS[0].active.q)["right_palm"][:, 2]
     low, high = float(heights.min()) - 0.05 - gap_m, float(heights.max()) + 0.05 + gap_m
-    size = np.array([400.0, 400.0, 100.0])
-    floor, ceiling = (Box(planar_pose(1.8, 1.6, z), size) for z in (low - 50.0, high + 50.0))
-    return Surroundings(
-        (Obstacle("floor", floor), Obstacle("ceiling", ceiling)), np.array([0.9, 0.3, 0.6]), np.array([2.6, 2.0, 1.9])
-    )
+    places = {"floor": planar_pose(1.8, 1.6, low - 50.0), "ceiling": planar_pose(1.8, 1.6, high + 50.0)}
+    slabs = tuple(Obstacle(name, Box(400.0, 400.0, 100.0), T) for name, T in places.items())
+    return Surroundings(slabs, np.array([0.9, 0.3, 0.6]), np.array([2.6, 2.0, 1.9]))
 
 
 def test_if_all_samples_collide_the_recording_and_the_reason_are_named() -> None:

@@ -11,7 +11,7 @@ from small_library import REST, small_library
 
 from humanpred_ros.errors import HumanModelError, MotionError, PlanningError, SettingsError
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
+from humanpred_ros.geometry.solids import Box, Obstacle, planar_pose
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching.end_postures import HAND
 from humanpred_ros.reaching.features import NAMED_WEIGHTS
@@ -112,7 +112,7 @@ def test_what_stands_in_the_way_is_avoided_by_the_planner() -> None:
     middle = hands(clear.towards(progress, place)).mean(axis=0)
     middle = middle[len(middle) // 2]
     # A post just beside the way, narrower than the way is long.
-    post = Obstacle("post", Box(planar_pose(middle[0], middle[1] - 0.06, middle[2], 0.0), np.array([0.1, 0.1, 0.3])))
+    post = Obstacle("post", Box(0.1, 0.1, 0.3), planar_pose(middle[0], middle[1] - 0.06, middle[2]))
     scene = Surroundings((post,), middle - 1.0, middle + 1.0)
     config = ReachFuturesSettings(n_samples=32)
     avoided = hands(ReachFutures(learned(), WEIGHTS, scene, config).towards(progress, place))

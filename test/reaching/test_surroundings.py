@@ -7,7 +7,7 @@ import pytest
 from reaching_people import MODEL, PARTNER, START
 
 from humanpred_ros.errors import ArrayError, HumanModelError, SceneError
-from humanpred_ros.geometry.capsules import Capsule
+from humanpred_ros.geometry.solids import Capsule
 from humanpred_ros.reaching.body import MOVING_BODIES, BodyCapsules
 from humanpred_ros.reaching.surroundings import CAP_M, Surroundings
 from humanpred_ros.robot.scene import load_scene
@@ -96,7 +96,7 @@ def test_the_obstacles_of_a_robots_scene_are_moved_to_where_the_person_sees_them
     points = np.array([[0.0, -0.7, 0.75], [0.2, -0.8, 0.9], [-0.6, -0.5, 0.6]])
     moved = points @ np.linalg.inv(scene.T_world_human)[:3, :3].T + np.linalg.inv(scene.T_world_human)[:3, 3]
     for world, tracker in zip(scene.obstacles, here.obstacles, strict=True):
-        np.testing.assert_allclose(tracker.shape.distance(moved), world.shape.distance(points), atol=1e-9)
+        np.testing.assert_allclose(tracker.distance_m(moved), world.distance_m(points), atol=1e-9)
     assert (here.lower_m < moved.min(axis=0)).all()
     assert (here.upper_m > moved.max(axis=0)).all()
     assert not Surroundings.of_obstacles((), np.eye(4)).obstacles

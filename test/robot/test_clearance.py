@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -14,7 +13,7 @@ from small_library import REST
 
 from humanpred_ros.errors import ArrayError, HumanModelError
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
+from humanpred_ros.geometry.solids import Box, Obstacle, planar_pose
 from humanpred_ros.geometry.urdf import find_pr2_urdf
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.robot.clearance import SeparationMeter
@@ -25,7 +24,7 @@ SCENES = {name: load_scene(name) for name in ("face_to_face", "side_by_side")}
 FACE, SIDE = SCENES["face_to_face"], SCENES["side_by_side"]
 
 
-def mesh_clearance_m(scene: Scene, shape: Any, q: np.ndarray, first_joint: int) -> float:
+def mesh_clearance_m(scene: Scene, obstacle: Obstacle, q: np.ndarray, first_joint: int) -> float:
     """Exact distance from the arm's collision meshes, from one joint outwards, to the table or an object."""
     model = pin.buildModelFromUrdf(str(find_pr2_urdf()))
     folders = [str(parent) for parent in find_pr2_urdf().parents]
@@ -35,11 +34,11 @@ def mesh_clearance_m(scene: Scene, shape: Any, q: np.ndarray, first_joint: int) 
         joint = model.joints[model.getJointId(name)]
         full[joint.idx_q : joint.idx_q + joint.nq] = value if joint.nq == 1 else (np.cos(value), np.sin(value))
     pin.forwardKinematics(model, data, full)
-    if isinstance(shape, Box):
-        other = coal.Box(*shape.size_m)
-    else:
-        other = coal.Cylinder(shape.radius_m, shape.height_m)
-    T_other = Transform(shape.T_world_shape[:3, :3].copy(), shape.T_world_shape[:3, 3].copy())
+    half = obstacle.shape.half_m
+    other = (
+        coal.Box(*np.multiply(2.0, half)) if isinstance(obstacle.shape, Box) else coal.Cylinder(half[0], 2.0 * half[2])
+    )
+    T_other = Transform(obstacle.T_world_shape[:3, :3].copy(), obstacle.T_world_shape[:3, 3].copy())
     outer = {model.getJointId(name) for name in RIGHT_ARM_JOINTS[first_joint:]}
     least = np.inf
     for item in geometry.geometryObjects:
@@ -58,7 +57,7 @@ def mesh_clearance_m(scene: Scene, shape: Any, q: np.ndarray, first_joint: int) 
 def test_meshes_clear_the_table_by_the_published_distance(scene: Scene, which: str, table_m: float) -> None:
     q = scene.start if which == "start" else scene.goal(which).configuration
     # 0.0005 m is the rounding of the published figures (docs/papers.md, P1 scenes).
-    assert mesh_clearance_m(scene, scene.table.shape, q, first_joint=0) == pytest.approx(table_m, abs=5.5e-4)
+    assert mesh_clearance_m(scene, scene.table, q, first_joint=0) == pytest.approx(table_m, abs=5.5e-4)
 
 
 @pytest.mark.parametrize("scene", [FACE, SIDE])
@@ -66,7 +65,7 @@ def test_spheres_never_promise_more_room_than_the_meshes_have(scene: Scene) -> N
     spheres = scene.arm.spheres()
     for q in (scene.start, *(goal.configuration for goal in scene.goals)):
         for obstacle in scene.obstacles:
-            mesh = mesh_clearance_m(scene, obstacle.shape, q, first_joint=2)
+            mesh = mesh_clearance_m(scene, obstacle, q, first_joint=2)
             sphere = nearest_approach(scene.arm, spheres, [obstacle], q).clearance_m
             assert mesh - 0.045 <= sphere <= mesh + 1e-9, obstacle.name
 
@@ -85,7 +84,7 @@ def test_field_and_exact_shapes_agree_along_a_trajectory(scene: Scene) -> None:
 def test_nearest_approach_names_link_and_obstacle() -> None:
     arm, spheres = FACE.arm, FACE.arm.spheres()
     tool = arm.chain.tool_pose(FACE.start)[:3, 3]
-    post = Obstacle("post", Box(planar_pose(*tool), [0.02, 0.02, 0.02]))
+    post = Obstacle("post", Box(0.02, 0.02, 0.02), planar_pose(*tool))
     nearest = nearest_approach(arm, spheres, [FACE.table, post], FACE.start)
     assert (nearest.link, nearest.obstacle) == ("r_wrist_roll_link", "post")
     assert nearest.clearance_m < 0.0

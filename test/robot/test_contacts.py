@@ -13,7 +13,7 @@ from collision_library import Transform, coal
 
 from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.chain import BodyBoxes
-from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
+from humanpred_ros.geometry.solids import Box, Obstacle, planar_pose
 from humanpred_ros.geometry.urdf import find_pr2_urdf
 from humanpred_ros.robot.clearance import nearest_approaches
 from humanpred_ros.robot.contacts import SelfCollision, nearest_contacts, shoulder_approach
@@ -256,7 +256,7 @@ def test_the_shoulders_reach_is_never_overstated_nor_understated_by_much(gap_m: 
     arm = Pr2Arm(np.eye(4))
     pan = arm.chain.joint_origin_m[0] + arm.chain.T_world_root[:3, 3]
     # The turret's mesh ends 0.229 m in front of the pan axis.
-    post = Obstacle("post", Box(planar_pose(pan[0] + 0.229 + gap_m + 0.05, pan[1], pan[2]), [0.1, 0.1, 1.5]))
+    post = Obstacle("post", Box(0.1, 0.1, 1.5), planar_pose(pan[0] + 0.229 + gap_m + 0.05, pan[1], pan[2]))
     nearest = shoulder_approach(arm, [post])
     assert nearest.obstacle == "post"
     assert nearest.link in arm.link_names[:2]

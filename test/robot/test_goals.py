@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from humanpred_ros.errors import GoalUnreachableError, SceneError, SettingsError
-from humanpred_ros.geometry.shapes import Box, Obstacle, planar_pose
+from humanpred_ros.geometry.solids import Box, Obstacle, planar_pose
 from humanpred_ros.robot.contacts import nearest_contacts
 from humanpred_ros.robot.goals import Goal, ToolGoalSettings, tool_goal
 from humanpred_ros.robot.inverse_kinematics import ToolPose
@@ -133,7 +133,7 @@ def test_a_pose_in_the_table_is_refused_with_link_obstacle_and_depth() -> None:
 
 
 def test_too_near_is_refused_too() -> None:
-    post = Obstacle("post", Box(planar_pose(0.0, -0.7, 0.86), [0.05, 0.05, 0.05]))
+    post = Obstacle("post", Box(0.05, 0.05, 0.05), planar_pose(0.0, -0.7, 0.86))
     exact = {"position_tolerance_m": 0.0, "orientation_tolerance_rad": [np.pi, 0.0, 0.0]}
     with pytest.raises(GoalUnreachableError, match=r"best has r_wrist_roll_link 0\.\d\d\d m from post"):
         tool_goal(ARM, "near", ABOVE, START, obstacles=[post], settings=ToolGoalSettings(clearance_m=0.2), **exact)

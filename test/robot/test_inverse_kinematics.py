@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from humanpred_ros.errors import ArrayError, SceneError, SettingsError
-from humanpred_ros.geometry.shapes import planar_pose
+from humanpred_ros.geometry.solids import planar_pose
 from humanpred_ros.robot.inverse_kinematics import InverseKinematicsSettings, ToolPose, solve_tool_pose, spread
 from humanpred_ros.robot.pr2 import Pr2Arm
 

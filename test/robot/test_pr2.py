@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, cKDTree
 
 from humanpred_ros.errors import GoalUnreachableError, SceneError, UsageError
-from humanpred_ros.geometry.shapes import planar_pose
+from humanpred_ros.geometry.solids import planar_pose
 from humanpred_ros.geometry.urdf import find_pr2_urdf
 from humanpred_ros.robot.pr2 import (
     LEFT_ARM_JOINTS,
@@ -174,7 +174,7 @@ def test_points_and_spheres_are_the_same_for_every_placement() -> None:
 
 def test_fixed_obstacles_cover_the_bodies_that_stand_still() -> None:
     corners = mesh_corners_m(np.zeros(7), moving=False)
-    distance = np.min([obstacle.shape.distance(corners) for obstacle in ARM.fixed_obstacles], axis=0)
+    distance = np.min([obstacle.distance_m(corners) for obstacle in ARM.fixed_obstacles], axis=0)
     assert distance.max() <= 1e-9
     names = {obstacle.name for obstacle in ARM.fixed_obstacles}
     assert {"base_link", "torso_lift_link", "head_tilt_link", "l_forearm_link", "laser_tilt_mount_link"} <= names
@@ -183,7 +183,7 @@ def test_fixed_obstacles_cover_the_bodies_that_stand_still() -> None:
 
 def test_fixed_obstacles_follow_base_torso_and_left_arm() -> None:
     def centre(arm: Pr2Arm, name: str) -> np.ndarray:
-        boxes = [obstacle.shape for obstacle in arm.fixed_obstacles if obstacle.name == name]
+        boxes = [obstacle for obstacle in arm.fixed_obstacles if obstacle.name == name]
         return np.mean([box.T_world_shape[:3, 3] for box in boxes], axis=0)
 
     here = Pr2Arm(np.eye(4))

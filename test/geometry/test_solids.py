@@ -1,4 +1,4 @@
-"""Shapes: distances against geometry worked out another way, and samples that leave no hole."""
+"""Solids: distances against geometry worked out another way, and samples that leave no hole."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from humanpred_ros.errors import HumanModelError
-from humanpred_ros.geometry.capsules import Box, Capsule, EllipticCylinder, Shape, Sphere
+from humanpred_ros.errors import ArrayError
+from humanpred_ros.geometry.solids import Box, Capsule, EllipticCylinder, Obstacle, Shape, Sphere, cylinder, planar_pose
 
 SHAPES = [
     Sphere(0.13),
@@ -99,5 +99,79 @@ def test_known_distances() -> None:
 
 @pytest.mark.parametrize("length", [0.0, -0.1, float("nan"), float("inf")])
 def test_lengths_that_are_no_lengths_are_refused(length: float) -> None:
-    with pytest.raises(HumanModelError, match="positive radius_m"):
+    with pytest.raises(ArrayError, match="positive radius_m"):
         Sphere(length)
+
+
+SEED = st.integers(0, 10_000)
+
+
+def random_pose(rng: np.random.Generator) -> np.ndarray:
+    rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    T = np.eye(4)
+    T[:3, :3] = rotation * np.sign(np.linalg.det(rotation))
+    T[:3, 3] = rng.normal(size=3)
+    return T
+
+
+@given(SEED)
+def test_box_distance_outside_is_the_way_to_the_clamped_point_and_inside_to_the_nearest_face(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    T, size = random_pose(rng), rng.uniform(0.1, 1.0, 3)
+    local = rng.uniform(-1.0, 1.0, (50, 3))
+    distance = Obstacle("box", Box(*size), T).distance_m(local @ T[:3, :3].T + T[:3, 3])
+    clamped = np.clip(local, -size / 2, size / 2)
+    outside = np.linalg.norm(local - clamped, axis=1)
+    to_face = np.concatenate([size / 2 - local, size / 2 + local], axis=1).min(axis=1)
+    np.testing.assert_allclose(distance, np.where(outside > 0, outside, -to_face), atol=1e-9)
+
+
+@given(SEED)
+def test_cylinder_distance_is_that_to_a_densely_sampled_surface(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    T, radius, height = random_pose(rng), rng.uniform(0.05, 0.3), rng.uniform(0.05, 0.5)
+    # By symmetry the closest surface point lies in the half-plane through the axis and the point.
+    rim = np.linspace(0.0, radius, 800)
+    side = np.linspace(-height / 2, height / 2, 800)
+    profile = np.concatenate(
+        [
+            np.stack([rim, np.full(800, height / 2)], axis=1),
+            np.stack([rim, np.full(800, -height / 2)], axis=1),
+            np.stack([np.full(800, radius), side], axis=1),
+        ]
+    )
+    local = rng.uniform(-0.6, 0.6, (20, 3))
+    flat = np.stack([np.hypot(local[:, 0], local[:, 1]), local[:, 2]], axis=1)
+    expected = np.linalg.norm(flat[:, None] - profile, axis=2).min(axis=1)
+    inside = (flat[:, 0] < radius) & (np.abs(flat[:, 1]) < height / 2)
+    distance = Obstacle("cup", cylinder(radius, height), T).distance_m(local @ T[:3, :3].T + T[:3, 3])
+    np.testing.assert_allclose(distance, np.where(inside, -expected, expected), atol=1e-3)
+
+
+def test_shapes_take_any_number_of_points_of_either_precision() -> None:
+    cup = Obstacle("cup", cylinder(0.1, 0.2), planar_pose(1.0, 2.0, 3.0))
+    assert cup.distance_m(np.array([1.0, 2.0, 3.0])) == pytest.approx(-0.1)
+    assert cup.distance_m(np.ones((2, 3, 3))).shape == (2, 3)
+    zeros = np.zeros(4, dtype=np.float32)
+    for shape, middle in ((Box(1, 1, 1), -0.5), (Sphere(0.3), -0.3), (Capsule(0.1, 2), -0.1), (cylinder(0.1, 2), -0.1)):
+        assert shape.local_distance(zeros, zeros, zeros).dtype == np.float32
+        assert shape.local_distance(zeros, zeros, zeros) == pytest.approx([middle] * 4)
+
+
+def test_planar_pose_turns_about_the_vertical() -> None:
+    T = planar_pose(1.0, 2.0, 3.0, np.pi / 2)
+    np.testing.assert_allclose(T @ [1, 0, 0, 1], [1, 3, 3, 1], atol=1e-12)
+
+
+def test_obstacles_that_do_not_stand_anywhere_are_refused() -> None:
+    with pytest.raises(ArrayError, match=r"post.*rigid"):
+        Obstacle("post", Box(1.0, 1.0, 1.0), 2.0 * np.eye(4))
+    with pytest.raises(ArrayError, match=r"post.*shape"):
+        Obstacle("post", Box(1.0, 1.0, 1.0), np.eye(3))
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda s: type(s).__name__)
+def test_a_solid_touches_every_side_of_the_box_around_it(shape: Shape) -> None:
+    farthest = shape.sample(0.002).max(axis=0)
+    np.testing.assert_allclose(farthest, shape.half_m, atol=1e-3)
+    assert (farthest <= np.array(shape.half_m) + 1e-12).all()
