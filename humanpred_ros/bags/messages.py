@@ -68,17 +68,6 @@ def serialise(message: Any) -> bytes:
     return bytes(typestore().serialize_cdr(message, message.__msgtype__))
 
 
-def deserialise(data: bytes, msgtype: str) -> Any:
-    """Return the message in CDR bytes.
-
-    Raises:
-        UsageError: unknown type.
-        BagError: the bytes are not such a message.
-    """
-    _require_known(msgtype)
-    return decode_with(typestore(), data, msgtype)
-
-
 def decode_with(store: Any, data: bytes, msgtype: str) -> Any:
     """Return the message in CDR bytes, by the types of `store` (a bag may bring its own). Raises BagError.
 
@@ -129,7 +118,6 @@ def joint_state(
     *,
     frame_id: str = "",
     velocity: ArrayLike = (),
-    effort: ArrayLike = (),
 ) -> Any:
     """Return sensor_msgs/JointState; `position` is (D,) in radians and metres, in the order of `names`."""
     values = _floats(position)
@@ -140,7 +128,7 @@ def joint_state(
         name=list(names),
         position=values,
         velocity=_floats(velocity),
-        effort=_floats(effort),
+        effort=_floats(()),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -42,10 +42,6 @@ class TopicInfo:
     encoding: str = "cdr"
     qos: tuple[Qos, ...] = ()
     type_hash: str = ""
-
-    def with_count(self, count: int) -> TopicInfo:
-        """Return the same topic with another number of messages."""
-        return replace(self, count=count)
 
 
 def metadata_text(

@@ -2,18 +2,47 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
+import zstandard
+from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader, SeekingReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from humanpred_ros.bags.mcap_file import MCAP_TROUBLE, SALVAGE_HINT, FileFrame, read_frame, spell
 from humanpred_ros.bags.messages import decode_with, typestore
 from humanpred_ros.bags.metadata import TopicInfo, qos_from, read_metadata
 from humanpred_ros.errors import BagError
+
+MAGIC = b"\x89MCAP0\r\n"
+#: Opcode and length in front of every record's content.
+RECORD_HEADER = struct.Struct("<BQ")
+_FOOTER = struct.Struct("<BQQQI")
+_DATA_END = struct.Struct("<BQI")
+_FOOTER_OPCODE, _DATA_END_OPCODE = 0x02, 0x0F
+_TAIL_BYTES = _FOOTER.size + len(MAGIC)
+_BLOCK_BYTES = 1 << 20
+
+SALVAGE_HINT = "recover what is intact with: humanpred bag salvage"
+
+#: What mcap, its decompressors and the unpacking of damaged bytes raise (CRC errors are ValueErrors).
+MCAP_TROUBLE: tuple[type[Exception], ...] = (
+    McapError,
+    zstandard.ZstdError,
+    struct.error,
+    ValueError,
+    LookupError,
+    TypeError,
+    OverflowError,
+    MemoryError,
+    EOFError,
+    RuntimeError,
+)
 
 
 class BagMessage(NamedTuple):
@@ -34,19 +63,20 @@ class BagReader:
 
     Args:
         path: directory with metadata.yaml, or an .mcap file.
-        verify: make the whole-file check on opening.
 
     Raises:
         BagError: missing, not a bag, truncated or damaged; the message says what to do.
     """
 
-    def __init__(self, path: str | Path, *, verify: bool = True) -> None:
+    def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.files = bag_files(self.path)
         self._frames: dict[Path, FileFrame] = {}
         for file in self.files:
             with _opened(file) as stream:
-                self._frames[file] = read_frame(file, stream, verify_data=verify)
+                frame = self._frames[file] = inspect_frame(file, stream)
+            if frame.trouble:
+                raise BagError(f"{file}: {frame.trouble}; {SALVAGE_HINT}")
         self._definitions: dict[str, str] = {}
         self._stores: dict[str, Any] = {}
         self._metadata: dict[str, Mapping[str, str]] = {}
@@ -56,7 +86,7 @@ class BagReader:
         for file in self.files:
             for topic in self._topics_of(file, starts, ends):
                 before = topics.get(topic.name)
-                topics[topic.name] = topic if before is None else before.with_count(before.count + topic.count)
+                topics[topic.name] = replace(topic, count=topic.count + (before.count if before else 0))
         self.topics: Mapping[str, TopicInfo] = MappingProxyType(topics)
         self.start_ns: int | None = min(starts, default=None)
         self.end_ns: int | None = max(ends, default=None)
@@ -71,15 +101,11 @@ class BagReader:
         """The MCAP metadata records by name (of several with one name, the last)."""
         return MappingProxyType(self._metadata)
 
-    def messages(
-        self, topics: Iterable[str] | None = None, *, start_ns: int | None = None, stop_ns: int | None = None
-    ) -> Iterator[BagMessage]:
+    def messages(self, topics: Iterable[str] | None = None) -> Iterator[BagMessage]:
         """Yield messages by log time; those of one time in the order they were written.
 
         Args:
             topics: only these; all if None.
-            start_ns: only messages logged at or after this time.
-            stop_ns: only messages logged before this time.
 
         Raises:
             BagError: a topic the bag lacks (at once), or damage found on the way.
@@ -87,7 +113,7 @@ class BagReader:
         wanted = None if topics is None else [topics] if isinstance(topics, str) else list(topics)
         for name in wanted or ():
             self.require_topic(name)
-        return self._messages(wanted, start_ns, stop_ns)
+        return self._messages(wanted)
 
     def require_topic(self, name: str, msgtype: str | None = None) -> TopicInfo:
         """Return the topic's entry; raise BagError if the bag lacks it or it has another type."""
@@ -114,9 +140,7 @@ class BagReader:
         for message in self.messages([topic]):
             yield message.log_time_ns, self.decode(message)
 
-    def _messages(self, wanted: list[str] | None, start_ns: int | None, stop_ns: int | None) -> Iterator[BagMessage]:
-        if start_ns is not None and stop_ns is not None and start_ns >= stop_ns:
-            return
+    def _messages(self, wanted: list[str] | None) -> Iterator[BagMessage]:
         for file in self.files:
             summary = self._frames[file].summary
             # Without an index mcap's seeking reader would fall back to one that checks nothing.
@@ -124,16 +148,9 @@ class BagReader:
             with _opened(file) as stream:
                 try:
                     reader: Any = kind(stream, validate_crcs=True)
-                    for schema, channel, message in reader.iter_messages(
-                        topics=wanted, starting_at=start_ns, ending_before=stop_ns
-                    ):
-                        yield BagMessage(
-                            channel.topic,
-                            "" if schema is None else schema.name,
-                            message.log_time,
-                            message.publish_time,
-                            message.data,
-                        )
+                    for schema, channel, message in reader.iter_messages(topics=wanted):
+                        msgtype = "" if schema is None else schema.name
+                        yield BagMessage(channel.topic, msgtype, message.log_time, message.publish_time, message.data)
                 except MCAP_TROUBLE as trouble:
                     raise BagError(
                         f"{file}: wanted intact data, got damage ({spell(trouble)}); {SALVAGE_HINT}"
@@ -196,6 +213,74 @@ class BagReader:
                 raise BagError(f"{self.path}: no usable definition of message type {msgtype} in the bag") from trouble
             self._stores[msgtype] = store
         return self._stores[msgtype]
+
+
+@dataclass(frozen=True)
+class FileFrame:
+    """What the outer frame of an mcap file says."""
+
+    summary: Any | None = None  #: mcap's Summary (schemas, channels, statistics, indexes), None if there is none
+    trouble: str = ""  #: what is wrong with the frame, empty if nothing
+    checksum: bool = False  #: whether a wrong CRC is what is wrong
+
+
+def inspect_frame(path: Path, stream: IO[bytes]) -> FileFrame:
+    """Return the outer frame of an mcap file, opened for reading.
+
+    A complete file ends with a summary section, a footer that holds the summary's CRC, and the magic bytes; the record
+    before the summary may hold the CRC of everything above it. mcap's reader checks chunk CRCs only, so these outer
+    checks are made here; they read the whole file. Layout: the MCAP specification, version 0.
+
+    Raises:
+        BagError: the file does not start like an mcap file.
+    """
+    size = stream.seek(0, 2)
+    stream.seek(0)
+    start = stream.read(len(MAGIC))
+    if start != MAGIC[: len(start)] or not start:
+        raise BagError(f"{path}: wanted an MCAP file, got {size} bytes that do not start like one; name a bag")
+    if size < len(MAGIC) + _TAIL_BYTES:
+        return FileFrame(trouble=f"wanted a complete MCAP file, got only its first {size} bytes")
+    stream.seek(size - _TAIL_BYTES)
+    footer, end = stream.read(_FOOTER.size), stream.read()
+    opcode, length, summary_start, offsets_start, summary_crc = _FOOTER.unpack(footer)
+    if end != MAGIC or opcode != _FOOTER_OPCODE or length != _FOOTER.size - RECORD_HEADER.size:
+        return FileFrame(trouble="wanted a complete MCAP file, its end is missing (interrupted, truncated or damaged)")
+    data_end = summary_start or size - _TAIL_BYTES  # 0 stands for "no summary"
+    if not len(MAGIC) + _DATA_END.size <= data_end <= size - _TAIL_BYTES or offsets_start > size:
+        return FileFrame(trouble=f"wanted a footer pointing into the file, got offset {summary_start}")
+    stream.seek(data_end)
+    if summary_crc and zlib.crc32(stream.read(size - _TAIL_BYTES - data_end) + footer[:-4]) != summary_crc:
+        return FileFrame(trouble="wanted a summary with its recorded checksum, got another", checksum=True)
+    stream.seek(data_end - _DATA_END.size)
+    opcode, length, data_crc = _DATA_END.unpack(stream.read(_DATA_END.size))
+    if opcode != _DATA_END_OPCODE or length != _DATA_END.size - RECORD_HEADER.size:
+        return FileFrame(trouble="wanted the end of the data just before the summary, got something else")
+    try:
+        stream.seek(0)
+        summary = SeekingReader(stream).get_summary()
+    except MCAP_TROUBLE as trouble:
+        return FileFrame(trouble=f"wanted a readable summary, got {spell(trouble)}")
+    if data_crc and _crc_of(stream, data_end - _DATA_END.size) != data_crc:
+        return FileFrame(summary, "wanted data with their recorded checksum, got another", checksum=True)
+    return FileFrame(summary)
+
+
+def spell(trouble: Exception) -> str:
+    """Return an exception of another library as text; some of them have none."""
+    return f"{type(trouble).__name__}: {trouble}" if str(trouble) else type(trouble).__name__
+
+
+def _crc_of(stream: IO[bytes], length: int) -> int:
+    stream.seek(0)
+    crc = 0
+    while length > 0:
+        block = stream.read(min(_BLOCK_BYTES, length))
+        if not block:
+            break
+        crc = zlib.crc32(block, crc)
+        length -= len(block)
+    return crc
 
 
 def bag_files(path: Path) -> tuple[Path, ...]:

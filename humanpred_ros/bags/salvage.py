@@ -25,10 +25,9 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Message, Metadata, Schema
 
-from humanpred_ros.bags.mcap_file import MAGIC, MCAP_TROUBLE, RECORD_HEADER, inspect_frame, spell
 from humanpred_ros.bags.messages import TypeDefinition
 from humanpred_ros.bags.metadata import qos_from, read_metadata
-from humanpred_ros.bags.reader import bag_files
+from humanpred_ros.bags.reader import MAGIC, MCAP_TROUBLE, RECORD_HEADER, bag_files, inspect_frame, spell
 from humanpred_ros.bags.writer import BagWriter
 from humanpred_ros.errors import BagError
 

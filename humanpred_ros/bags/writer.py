@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Literal
@@ -212,7 +213,7 @@ class BagWriter:
             if self._stream is None:
                 return
             stream, self._stream = self._stream, None
-            topics = [topic.with_count(self._counts[name]) for name, topic in self._topics.items()]
+            topics = [replace(topic, count=self._counts[name]) for name, topic in self._topics.items()]
             facts = (self._file_name, topics, self._start_ns, self._end_ns, self._custom)
             try:
                 with stream:

@@ -19,7 +19,6 @@ Two branches give the same points; the one returned has rShoulderZ within 90 deg
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -62,38 +61,19 @@ class KinectConfig(Settings):
     aligned_arm_rad: float = setting(0.02, "arms closer to the torso's x axis hide rShoulderX", unit="rad", low=0.0)
 
 
-@dataclass(frozen=True)
-class KinectPosture:
-    """A posture as far as the tracker's points determine it."""
-
-    q: FloatArray  #: (12,) posture, NaN exactly where a DoF is in `missing` or `implausible`
-    missing: Mapping[str, str]  #: DoF -> why it could not be determined (a lost point, or a DoF that it needs)
-    implausible: Mapping[str, str]  #: DoF -> why what was measured cannot be a person
-
-    @property
-    def complete(self) -> bool:
-        """True if every DoF is determined."""
-        return not self.missing and not self.implausible
-
-
 class KinectPostures:
-    """The postures of T frames; index it, or iterate over it, for single frames.
+    """The postures of T frames, as far as the tracker's points determine them.
 
     Attributes:
         q: (T, 12) postures, NaN where undetermined.
+        reasons: by frame, DoF -> why it is not determined: a lost point, a DoF that it needs, or a measure that no
+            person has.
     """
 
     def __init__(self, frames: int, model: HumanModel) -> None:
         self._model = model
         self.q: FloatArray = np.full((frames, len(model.dof_names)), np.nan)
-        self._missing: list[dict[str, str]] = [{} for _ in range(frames)]
-        self._implausible: list[dict[str, str]] = [{} for _ in range(frames)]
-
-    def __len__(self) -> int:
-        return len(self.q)
-
-    def __getitem__(self, frame: int) -> KinectPosture:
-        return KinectPosture(self.q[frame], self._missing[frame], self._implausible[frame])
+        self.reasons: list[dict[str, str]] = [{} for _ in range(frames)]
 
     @property
     def complete(self) -> NDArray[np.bool_]:
@@ -109,47 +89,30 @@ class KinectPostures:
     ) -> None:
         """Store DoFs (T,) that follow from `points` (name -> (T, 3), NaN where lost) and from the DoFs `after`.
 
-        They count as missing where one of those is missing, and as implausible outside the model's limits. The first
-        reason stays: what a DoF needs is judged before it.
+        They are not determined where one of those is not, nor outside the model's limits. The first reason stays: what
+        a DoF needs is judged before it.
         """
-        lost = {name: np.asarray(np.isnan(place).any(axis=1)) for name, place in points.items()}
         for dof, value in values.items():
             d = self._model.dof_index[dof]
-            known = [dof in self._missing[k] or dof in self._implausible[k] for k in range(len(self))]
-            self.q[:, d] = np.where(known, np.nan, value)
-            for name, where in lost.items():
-                self.lose(where, (dof,), f"the point {name} is lost")
+            self.q[:, d] = np.where([dof in reasons for reasons in self.reasons], np.nan, value)
+            for name, place in points.items():
+                self.doubt(np.asarray(np.isnan(place).any(axis=1)), (dof,), f"the point {name} is lost")
             for earlier in after:
-                self.lose(np.isnan(self.column(earlier)), (dof,), f"it needs {earlier}, which is not determined")
+                self.doubt(np.isnan(self.column(earlier)), (dof,), f"it needs {earlier}, which is not determined")
             self.doubt(np.isnan(self.q[:, d]), (dof,), "points that should be apart coincide")
             lower, upper = self._model.lower[d], self._model.upper[d]
             with np.errstate(invalid="ignore"):
                 outside = (value < lower - 1e-9) | (value > upper + 1e-9)
             self.doubt(outside, (dof,), f"{{:.3f}} is outside the limits {lower:.3f} to {upper:.3f}", value)
 
-    def lose(self, where: NDArray[np.bool_], dofs: Sequence[str], reason: str) -> None:
-        """Mark DoFs as missing in the frames `where` (T,), unless they are marked already."""
-        self._mark(self._missing, where, dofs, reason, None)
-
     def doubt(
         self, where: NDArray[np.bool_], dofs: Sequence[str], reason: str, value: FloatArray | None = None
     ) -> None:
-        """Mark DoFs as implausible likewise; `{...}` in the reason is filled with the frame's `value` (T,)."""
-        self._mark(self._implausible, where, dofs, reason, value)
-
-    def _mark(
-        self,
-        marks: list[dict[str, str]],
-        where: NDArray[np.bool_],
-        dofs: Sequence[str],
-        reason: str,
-        value: FloatArray | None,
-    ) -> None:
+        """Leave DoFs undetermined in the frames `where` (T,); `{...}` in the reason is the frame's `value` (T,)."""
         for frame in np.flatnonzero(where):
             for dof in dofs:
-                if dof not in self._missing[frame] and dof not in self._implausible[frame]:
-                    marks[frame][dof] = reason if value is None else reason.format(value[frame])
-                    self.q[frame, self._model.dof_index[dof]] = np.nan
+                self.reasons[frame].setdefault(dof, reason if value is None else reason.format(value[frame]))
+                self.q[frame, self._model.dof_index[dof]] = np.nan
 
 
 class KinectSkeleton:
@@ -186,10 +149,6 @@ class KinectSkeleton:
         """Return the points (T, 15, 3) a tracker would see of postures (T, 12); (15, 3) for one posture (12,)."""
         places = self.model.forward(q)
         return np.stack([places[link] for link in LINK_OF_POINT.values()], axis=-2)
-
-    def posture(self, points_m: ArrayLike) -> KinectPosture:
-        """Return the posture of points (15, 3), NaN where lost; see `postures`."""
-        return self.postures(checked("points_m", points_m, (len(LINK_OF_POINT), 3), finite=False)[None])[0]
 
     def postures(self, points_m: ArrayLike) -> KinectPostures:
         """Return the postures of points (T, 15, 3) in the tracker's frame, z up.
@@ -271,9 +230,9 @@ class KinectSkeleton:
             "rArmTrans": length + uy,
         }
         hand = {"rShoulderY": sY, "rElbowZ": bend}
-        found.lose(straight, ("rShoulderY",), "the elbow is straight, which leaves the upper arm's roll open")
+        found.doubt(straight, ("rShoulderY",), "the elbow is straight, which leaves the upper arm's roll open")
         aligned = np.hypot(e[:, 1], e[:, 2]) < config.aligned_arm_rad * np.linalg.norm(e, axis=1)
-        found.lose(aligned, ("rShoulderX", "rShoulderY"), "the upper arm lies along the torso's x axis")
+        found.doubt(aligned, ("rShoulderX", "rShoulderY"), "the upper arm lies along the torso's x axis")
         found.put(arm, _only(seen, "right_elbow"), after=("TorsoZ",))
         found.put(hand, _only(seen, "right_elbow", "right_hand"), after=("TorsoZ",))
         low, high = config.arm_trans_m

@@ -70,7 +70,6 @@ def flag_library(
     library: MotionLibrary,
     *,
     model: HumanModel | None = None,
-    hand: str = "right_palm",
     config: CleaningConfig | None = None,
 ) -> tuple[Flag, ...]:
     """Return everything suspicious in a library, motion by motion; changes nothing.
@@ -81,7 +80,6 @@ def flag_library(
     Args:
         library: any.
         model: the human whose hand is looked at; P1's 12-DoF human if None.
-        hand: name of the hand's link in the model.
         config: thresholds.
 
     Raises:
@@ -93,7 +91,7 @@ def flag_library(
     flags: list[Flag] = []
     pelvis = [d for d, name in enumerate(library.dof_names) if name.startswith("PelvisTrans")]
     home = np.median(np.concatenate([motion.q[:, pelvis] for motion in library]), axis=0)
-    goals = {motion.name: goal_m(motion, model, hand) for motion in library}
+    goals = {motion.name: goal_m(motion, model) for motion in library}
     far = {flag.motion: flag for flag in _far_goals(library, goals, config)}
     for motion in library:
         flags += _gaps(motion, config)
@@ -108,9 +106,7 @@ def clean_library(
     library: MotionLibrary,
     *,
     drop: bool = False,
-    unwrap: bool = True,
     model: HumanModel | None = None,
-    hand: str = "right_palm",
     config: CleaningConfig | None = None,
 ) -> MotionLibrary:
     """Return the library with angles unwrapped and, only if asked, without motions flagged wild or off their goal.
@@ -121,15 +117,13 @@ def clean_library(
         HumanModelError: motions are to be dropped and the library's DoFs are not the model's.
         LibraryFormatError: nothing would be left.
     """
-    done = []
-    if unwrap:
-        motions = tuple(unwrap_angles(motion) for motion in library)
-        changed = sum(new is not old for new, old in zip(motions, library, strict=True))
-        library = replace(library, motions=motions)
-        done.append(f"unwrapped the angles of {changed} motions")
+    motions = tuple(unwrap_angles(motion) for motion in library)
+    changed = sum(new is not old for new, old in zip(motions, library, strict=True))
+    library = replace(library, motions=motions)
+    done = [f"unwrapped the angles of {changed} motions"]
     if drop:
         reasons: dict[str, str] = {}
-        for flag in flag_library(library, model=model, hand=hand, config=config):
+        for flag in flag_library(library, model=model, config=config):
             if flag.reason in DROP_REASONS:
                 reasons.setdefault(flag.motion, flag.reason)
         if len(reasons) == len(library):
@@ -140,8 +134,6 @@ def clean_library(
         library = library.select(lambda motion: motion.name not in reasons)
         named = ", ".join(f"{name} ({reason})" for name, reason in reasons.items())
         done.append(f"dropped {named}" if named else "dropped none")
-    if not done:
-        return library
     before = library.provenance.get("cleaning")
     text = "; ".join([before, *done] if before else done)
     return replace(library, provenance={**library.provenance, "cleaning": text})
