@@ -186,32 +186,6 @@ class HumanModel:
             points[..., mine, :] = surface.local_m[mine] @ np.swapaxes(R, -1, -2) + p[..., None, :]
         return points
 
-    def distances_m(self, q: ArrayLike, points_m: ArrayLike) -> FloatArray:
-        """Return the distance (N,) from each point (N, 3) to the human in posture (D,), negative inside a body.
-
-        Exact outside; inside, the depth below the surface of the body the point is deepest in.
-
-        Raises:
-            HumanModelError: not one posture, or a model without bodies.
-            ArrayError: points of another shape.
-        """
-        points = checked("points_m", points_m, ("N", 3))
-        if not self.bodies:
-            raise HumanModelError(f"distance to {self.name}: wanted a model with at least one <collision>, got none")
-        least = np.full(len(points), np.inf)
-        for body, T in zip(self.bodies, self.body_poses(checked("q", q, ("D",), error=HumanModelError)), strict=True):
-            least = np.minimum(least, body.shape.distance_m((points - T[:3, 3]) @ T[:3, :3]))
-        return least
-
-    def least_distance_m(self, q: ArrayLike, points_m: ArrayLike, radii_m: ArrayLike) -> float:
-        """Return the least distance between the human in posture (D,) and spheres at (N, 3) with radii (N,).
-
-        Negative when they penetrate. Raises ArrayError on wrong shapes or without any sphere.
-        """
-        radii = checked("radii_m", radii_m, ("N",))
-        points = checked("points_m", points_m, (max(1, len(radii)), 3))
-        return float((self.distances_m(q, points) - radii).min())
-
     def _checked(self, q: ArrayLike) -> FloatArray:
         shape = (len(self.dof_names),) if np.ndim(q) == 1 else ("T", len(self.dof_names))
         return np.atleast_2d(checked(f"postures of {self.name}", q, shape, error=HumanModelError))

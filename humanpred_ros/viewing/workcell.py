@@ -13,6 +13,7 @@ from humanpred_ros.errors import HumanModelError, HumanPredError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.solids import Obstacle
 from humanpred_ros.human.model import HumanModel
+from humanpred_ros.robot.clearance import SeparationMeter
 from humanpred_ros.robot.pr2 import Pr2Arm
 from humanpred_ros.robot.scene import Scene, load_scene
 from humanpred_ros.viewing.recorded import JointTrack
@@ -126,29 +127,17 @@ def measure_clearance(run: Run, workcell: Workcell) -> Clearance:
     scene, human = workcell.scene, workcell.human
     if scene is None or human is None:
         return nothing  # the workcell's own notes say why
-    arm, T_world_human = scene.arm, scene.T_world_human
     q_robot = run.robot.at(run.postures.t_s)
     known = np.isfinite(q_robot).all(axis=1)
     if not known.any():
         return nothing
-    t_s, postures = run.postures.t_s[known], run.postures.q[known]
-    spheres = arm.spheres()
-    centres_world = spheres.world_m(arm.chain, q_robot[known])
-    # Into the tracker's frame, where the human's bodies are.
-    centres = (centres_world - T_world_human[:3, 3]) @ T_world_human[:3, :3]
-    poses = human.body_poses(postures)
-    least = np.full((len(t_s), len(human.bodies), len(spheres)), np.inf)
-    for b, body in enumerate(human.bodies):
-        T = poses[:, b]
-        local = (centres - T[:, None, :3, 3]) @ T[:, :3, :3]
-        least[:, b] = body.shape.distance_m(local.reshape(-1, 3)).reshape(local.shape[:-1]) - spheres.radius_m
-    flat = least.reshape(len(t_s), -1)
-    where = flat.argmin(axis=1)
-    nearest_body, nearest_sphere = np.unravel_index(where, least.shape[1:])
+    arm, spheres = scene.arm, scene.arm.spheres()
+    apart = SeparationMeter(arm, human, scene.T_world_human, run.postures.q[known]).measure(q_robot[known])
+    centres = spheres.world_m(arm.chain, q_robot[known])
     return Clearance(
-        t_s,
-        flat[np.arange(len(t_s)), where],
-        tuple(arm.link_names[int(spheres.link[s])] for s in nearest_sphere),
-        tuple(human.bodies[int(b)].name for b in nearest_body),
-        centres_world[np.arange(len(t_s)), nearest_sphere],
+        run.postures.t_s[known],
+        apart.distance_m,
+        tuple(arm.link_names[int(spheres.link[part])] for part in apart.part),
+        tuple(human.bodies[int(body)].name for body in apart.body),
+        centres[np.arange(len(centres)), apart.part],
     )

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from human_distance import least_distance_m
 from small_library import DOF_NAMES, REST
 
 from humanpred_ros.evaluation.interference_runs import find_avoidance
@@ -163,7 +164,7 @@ def test_far_away_there_is_no_contact_and_the_distance_is_the_models() -> None:
     centres = spheres.world_m(scene().arm.chain, scene().start)
     T = scene().T_world_human
     local = (centres - T[:3, 3]) @ T[:3, :3]
-    wanted = [HUMAN.least_distance_m(q, local, spheres.radius_m) for q in motion.q]
+    wanted = [least_distance_m(HUMAN, q, local, spheres.radius_m) for q in motion.q]
     assert figures.contact is None
     assert figures.least_distance_m == pytest.approx(min(wanted))
     assert (figures.method, figures.seed, figures.motion) == ("ours", 3, "1/0")

@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 from arm_clearance import arm_clearance, nearest_approach
 from collision_library import Transform, coal
+from human_distance import least_distance_m
 from small_library import REST
 
 from humanpred_ros.errors import ArrayError, HumanModelError
@@ -133,7 +134,7 @@ def test_is_the_models_distance() -> None:
     spheres, T = scene().arm.spheres(), scene().T_world_human
     for k in range(len(q)):
         local = (spheres.world_m(scene().arm.chain, q[k]) - T[:3, 3]) @ T[:3, :3]
-        assert found.distance_m[k] == pytest.approx(HUMAN.least_distance_m(postures[k], local, spheres.radius_m))
+        assert found.distance_m[k] == pytest.approx(least_distance_m(HUMAN, postures[k], local, spheres.radius_m))
     assert found.least_m == found.distance_m.min()
     assert found.distance_m.min() < 0.0 < found.distance_m.max()
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from human_distance import least_distance_m
 from rich.console import Console
 
 from humanpred_ros.human.model import HumanModel
@@ -73,7 +74,7 @@ def test_closest_moment_agrees_with_a_distance_per_posture(
     for t_s, posture in zip(full.postures.t_s, full.postures.q, strict=True):
         q = [np.interp(t_s, full.robot.t_s, column) for column in full.robot.q.T]
         centres = spheres.world_m(scene.arm.chain, np.array(q)) @ to_human[:3, :3].T + to_human[:3, 3]
-        least.append(human.least_distance_m(posture, centres, spheres.radius_m))
+        least.append(least_distance_m(human, posture, centres, spheres.radius_m))
     clearance = measure_clearance(full, load_workcell(full))
     np.testing.assert_allclose(clearance.distance_m, least, atol=1e-9)
     closest = full_summary.closest
