@@ -15,7 +15,7 @@ from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.occupancy.predictor import Predictor, PredictorRequest
 from humanpred_ros.occupancy.predictor import make_predictor as _make_predictor
-from humanpred_ros.recognition import model_file, training
+from humanpred_ros.recognition import training
 from humanpred_ros.recognition.training import TrainedModel
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import Scene
@@ -58,7 +58,7 @@ def train(library: MotionLibrary, classifiers: Sequence[str] | None = None) -> T
 
 def save_model(model: TrainedModel, path: str | Path) -> None:
     """Write a trained model to a file (.npz); a file of that name is replaced when the new one is complete."""
-    model_file.save_model(model, path)
+    training.save_model(model, path)
 
 
 def load_model(path: str | Path, human: HumanModel | None = None) -> TrainedModel:
@@ -71,7 +71,7 @@ def load_model(path: str | Path, human: HumanModel | None = None) -> TrainedMode
     Raises:
         ModelFileError: a file that is no model, is damaged, or was made for another human.
     """
-    return model_file.load_model(path, human or HumanModel.kinect12())
+    return training.load_model(path, human or HumanModel.kinect12())
 
 
 def make_predictor(name: str, scene: Scene, model: TrainedModel | None = None, **options: Any) -> Predictor:

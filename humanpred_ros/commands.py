@@ -34,8 +34,7 @@ def train(settings: TrainSettings, console: Console) -> int:
     """Learn a model from a motion library."""
     from humanpred_ros.human.model import human_with
     from humanpred_ros.motion.library_io import load_library
-    from humanpred_ros.recognition.model_file import save_model
-    from humanpred_ros.recognition.training import classifier_settings, train_model
+    from humanpred_ros.recognition.training import classifier_settings, save_model, train_model
 
     library = load_library(locate(settings.library, "bags"), frame_period_s=settings.frame_period)
     if settings.hold_out:

@@ -22,8 +22,7 @@ from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.occupancy.predictor import check_predictor, needed_classifiers, predictor_type
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR, SET, Given, given_settings, parameters_of
-from humanpred_ros.recognition.model_file import load_model, model_of
-from humanpred_ros.recognition.training import classifier_settings
+from humanpred_ros.recognition.training import classifier_settings, load_model, model_of
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import Scene, load_scene
 from humanpred_ros.settings import Settings, setting, setting_of

@@ -35,8 +35,7 @@ from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.occupancy.predictor import check_predictor, needed_classifiers, predictor_type
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR
-from humanpred_ros.recognition.model_file import save_model
-from humanpred_ros.recognition.training import train_model
+from humanpred_ros.recognition.training import save_model, train_model
 from humanpred_ros.resources import locate
 from humanpred_ros.settings import setting, setting_of
 from humanpred_ros.stomp.config import StompConfig

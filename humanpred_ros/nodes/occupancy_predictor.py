@@ -37,8 +37,7 @@ from humanpred_ros.reaching.places import places_from_text, places_in_world
 from humanpred_ros.reaching.reach_knowledge import ReachKnowledge
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor, ReachingSettings
 from humanpred_ros.reaching.weights import reach_weights
-from humanpred_ros.recognition.model_file import load_model
-from humanpred_ros.recognition.training import TrainedModel, classifier_settings, train_model
+from humanpred_ros.recognition.training import TrainedModel, classifier_settings, load_model, train_model
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import Scene, load_scene
 from humanpred_ros.settings import Settings, setting

@@ -1,12 +1,14 @@
-"""The default predictor: where the body will be from now on, learned from how the library's people went on.
+"""The default predictor: the body will go on as people of the library went on from moments like this one.
 
-Knowing the class, one knows where the hand goes; how the body gets there differs from motion to motion. So no mean
-motion is swept, but a sample of recorded ones: those whose present resembles this present, each from there to its end.
-A voxel's probability is the probability of the futures that touch it.
+The class says where the hand goes; how the body gets there differs from motion to motion. So the futures of several
+recorded motions are followed instead of one mean motion. They are drawn from those whose posture resembles the present
+one, and each is followed from there to its end. A voxel's probability is the summed probability of the futures that
+touch it.
 
-Postures, not voxels, are recorded. Most voxels are the body's, not the arm's, and the body is where this person stands
-and leans now: a future begins in the present posture, and the difference to the recorded one fades in part, as the
-places reached for do not move with the person. And a surface is thinner than a voxel: moved by voxels, it would blur.
+A future begins in the person's present posture, because most occupied voxels belong to the trunk and the legs, which
+are where this person stands and leans now. The difference between the present posture and the recorded one stays in
+part and fades in part, since the places reached for do not move with the person. Postures are recorded, not voxels: a
+body's surface is thinner than a voxel and would blur if voxels were moved.
 """
 
 from __future__ import annotations
@@ -50,14 +52,14 @@ class ForecastSettings(SweepSettings):
 
 
 class ForecastPredictor(Predictor):
-    """Where the body goes on to, as the library's people went on from moments like this one.
+    """Follows how the library's people went on from moments like this one.
 
     p(voxel) = sum over exemplars of P(exemplar is the present moment) [what followed it touches the voxel].
 
-    Futures are those of the classes that were learned, also for a reach of no class: the posterior says how probable
-    that is. Where the body is now has probability 1, and nothing else has. A person who stands elsewhere is moved to
-    where the library's people stood (`ForestClassifier.alignment`), and the futures back. Time and memory do not depend
-    on how much was seen.
+    A reach of no class is also given futures of the learned classes; the posterior says how probable no class is. The
+    voxels of the present body have probability 1, all others less. A person who stands elsewhere is moved to where the
+    library's people stood (`ForestClassifier.alignment`), and the futures are moved back. Time and memory of an update
+    do not depend on the number of postures seen.
 
     Attributes:
         grid: the lattice, world frame.

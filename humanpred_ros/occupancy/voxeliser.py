@@ -8,14 +8,12 @@ voxels into the same one.
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from humanpred_ros.errors import ArrayError, UsageError
+from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.compiled import exact, exact_part
 from humanpred_ros.geometry.lattice import VoxelGrid
@@ -26,28 +24,6 @@ DEFAULT_SPACING_M = 0.02
 
 #: Points handled at a time: their coordinates and indices stay in the processor's first cache.
 _BLOCK = 512
-#: Postures listed at a time; each may need room for as many voxels as there are points.
-_POSTURES_AT_ONCE = 128
-
-
-@dataclass(frozen=True, eq=False)
-class PostureVoxels:
-    """The voxels touched in each of T postures.
-
-    Attributes:
-        flat: flat indices, ascending within a posture, one posture after the other.
-        first: (T + 1,) where each posture's voxels begin in `flat`, and where the last one's end.
-    """
-
-    flat: NDArray[np.int64]
-    first: NDArray[np.int64]
-
-    def __len__(self) -> int:
-        return len(self.first) - 1
-
-    def of(self, posture: int) -> NDArray[np.int64]:
-        """Return the flat indices touched in one posture, ascending."""
-        return self.flat[self.first[posture] : self.first[posture + 1]]
 
 
 class BodyVoxeliser:
@@ -63,8 +39,6 @@ class BodyVoxeliser:
         grid: VoxelGrid,
         T_world_human: ArrayLike,
         spacing_m: float = DEFAULT_SPACING_M,
-        *,
-        links: Collection[str] | None = None,
     ) -> None:
         """Prepare for one human, grid and placement.
 
@@ -73,11 +47,9 @@ class BodyVoxeliser:
             grid: the lattice, in the world frame.
             T_world_human: (4, 4) rigid transform from the tracker's frame to the world.
             spacing_m: distance between points on the body's surface.
-            links: names of the links whose bodies count; None takes all of them.
 
         Raises:
             ArrayError: a placement that is not a rigid transform.
-            UsageError: a link that the human lacks, or links without any body.
         """
         self.human, self.grid = human, grid
         T_grid_human = checked_placement(T_world_human).copy()
@@ -87,13 +59,7 @@ class BodyVoxeliser:
         T_grid_human[:3, 3] += 1.0
         self._T_grid_human = T_grid_human
         surface = human.surface(spacing_m)
-        kept = np.flatnonzero(np.isin(surface.link, _numbers(human, links)))
-        if not len(kept):
-            raise UsageError(
-                f"voxels of {human.name}: wanted links with bodies, {', '.join(links or ())} have none; name "
-                f"some of {', '.join(human.link_names[m] for m in np.unique(surface.link))}"
-            )
-        order = kept[np.argsort(surface.link[kept], kind="stable")]
+        order = np.argsort(surface.link, kind="stable")
         x, y, z = np.ascontiguousarray(surface.local_m[order].T)
         self._link, begin = np.unique(surface.link[order], return_index=True)
         self._points, self._first = (x, y, z), np.array([*begin, len(order)], dtype=np.int64)
@@ -119,39 +85,6 @@ class BodyVoxeliser:
         number = np.arange(len(poses), dtype=np.int32)
         return self._marked(poses, number, np.full(self.grid.size + 1, -1, dtype=np.int32))
 
-    def voxels(self, q: ArrayLike) -> NDArray[np.int64]:
-        """Return the flat indices, ascending, of voxels touched in posture (D,), or in any of the postures (T, D).
-
-        Raises:
-            HumanModelError: wrong shape or values that are not finite.
-        """
-        if np.ndim(q) == 1:
-            return self.posture_voxels(q).flat
-        return np.flatnonzero(self.mask(q)).astype(np.int64)
-
-    def posture_voxels(self, q: ArrayLike) -> PostureVoxels:
-        """Return the voxels touched in each of the postures (T, D); one posture (D,) counts as T = 1.
-
-        Raises:
-            HumanModelError: wrong shape or values that are not finite.
-        """
-        poses = self._poses(q)
-        flat: list[NDArray[np.int64]] = [np.zeros(0, dtype=np.int64)]
-        n_voxels = np.zeros(len(poses), dtype=np.int64)
-        seen = np.zeros(self.grid.size + 1, dtype=np.bool_)
-        room = np.empty(min(len(poses), _POSTURES_AT_ONCE) * int(self._first[-1]), dtype=np.int32)
-        for start in range(0, len(poses), _POSTURES_AT_ONCE):
-            some = slice(start, start + _POSTURES_AT_ONCE)
-            _touched(
-                poses[some], self._T_grid_human, self._points, self._link, self._first, self.grid.shape, seen,
-                room, n_voxels[some],
-            )  # fmt: skip
-            count = n_voxels[some]
-            # The posture's number leads, so that one sort orders the voxels of all postures.
-            key = np.repeat(np.arange(len(count)) * self.grid.size, count) + room[: count.sum()]
-            flat.append(np.sort(key) % self.grid.size)
-        return PostureVoxels(np.concatenate(flat), np.concatenate([[0], np.cumsum(n_voxels)]))
-
     def _poses(self, q: ArrayLike) -> FloatArray:
         return self.human.link_poses(np.atleast_2d(np.asarray(q, dtype=np.float64)))
 
@@ -169,18 +102,6 @@ def checked_placement(T_world_human: ArrayLike) -> FloatArray:
     if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0 or (T[3] != (0.0, 0.0, 0.0, 1.0)).any():
         raise ArrayError(f"T_world_human: wanted a rotation, a translation and the row 0 0 0 1, got {T.tolist()}")
     return T
-
-
-def _numbers(human: HumanModel, links: Collection[str] | None) -> list[int]:
-    if links is None:
-        return list(range(len(human.link_names)))
-    unknown = sorted(set(links) - set(human.link_names))
-    if unknown:
-        raise UsageError(
-            f"voxels of {human.name}: wanted names of its links, got {', '.join(unknown)}; "
-            f"it has {', '.join(human.link_names)}"
-        )
-    return [human.link_names.index(link) for link in links]
 
 
 @exact
@@ -219,51 +140,6 @@ def _mark(
                 _indices(M, x[begin : begin + n], y[begin : begin + n], z[begin : begin + n], shape, index)
                 for p in range(n):
                     marks[index[p]] = value
-
-
-@exact
-def _touched(
-    poses: FloatArray,
-    T_grid_human: FloatArray,
-    points: tuple[FloatArray, FloatArray, FloatArray],
-    link: NDArray[np.int64],
-    first: NDArray[np.int64],
-    shape: tuple[int, int, int],
-    seen: NDArray[np.bool_],
-    out: NDArray[np.int32],
-    count: NDArray[np.int64],
-) -> None:
-    """List the voxels that each posture touches, each once, in the order in which they are met.
-
-    Args:
-        poses, T_grid_human, points, link, first, shape: as for `mark`.
-        seen: (V + 1,) all False; left so.
-        out: (N,) voxels of the first posture, then of the second, and so on; N must suffice.
-        count: (T,) receives how many voxels each posture touches.
-    """
-    x, y, z = points
-    M = np.empty((3, 4))
-    index = np.empty(_BLOCK, np.int32)
-    outside = len(seen) - 1
-    end = 0
-    for t in range(len(poses)):
-        start = end
-        seen[outside] = True
-        for s in range(len(link)):
-            _affine(T_grid_human, poses[t, link[s]], M)
-            for begin in range(first[s], first[s + 1], _BLOCK):
-                n = min(_BLOCK, first[s + 1] - begin)
-                _indices(M, x[begin : begin + n], y[begin : begin + n], z[begin : begin + n], shape, index)
-                for p in range(n):
-                    voxel = index[p]
-                    if not seen[voxel]:
-                        seen[voxel] = True
-                        out[end] = voxel
-                        end += 1
-        for k in range(start, end):
-            seen[out[k]] = False
-        seen[outside] = False
-        count[t] = end - start
 
 
 @exact_part

@@ -1,15 +1,16 @@
 """Turns a forest's votes, and distances from the library, into the probabilities of the classes and of no class.
 
-**Calibration.** Of the times a class gets 80 %, it shall be right in 80 %. Trees that vote on motions they have not
-seen are too sure before the hand has moved, when the differences they see are chance, and too cautious once it has
-gone half way, when many weak votes agree. So the votes are raised to a power that depends on how far the palm has been
-from its start; and a constant share is kept for what no vote foresees, a mistracked motion above all.
+**Calibration.** A probability of 80 % is calibrated if it is right in 80 % of the cases. Trees that vote on motions
+they have not seen are too sure before the hand has moved, because the differences they see then are chance. They are
+too cautious once the hand has gone half way, where many weak votes agree. So the votes are raised to a power that
+depends on how far the palm has been from its start. A constant share is kept for what no vote foresees, mostly
+mistracked motions.
 
-**Novelty.** A reach resembles none that was learned where the hand has been and no motion of the library has been.
-The measure is a distance in space: from the palm now and its farthest point so far to those of the nearest postures of
-the library, in the second nearest motion, because the nearest could be a mistracked one. What a distance means is
-learned from the library: each motion is compared with the library without itself, which makes it a known one, and
-without its whole class, which makes it an unknown one.
+**Novelty.** A reach is of no class if the hand has been where no motion of the library has been. The measure is a
+distance in space: from the palm now, and from its farthest point so far, to those of the nearest postures of the
+library. The second nearest motion counts, because the nearest one may be mistracked. What a distance means is learned
+from the library: each motion is compared with the library without itself, as an example of a known class, and without
+its whole class, as an example of no class.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.geometry.compiled import exact, fast
 from humanpred_ros.recognition.reach_features import FAR, REACHED, Float32Array
 
-#: Added to every vote: none is so surely wrong that a logarithm should make it impossible.
+#: Added to every vote before its logarithm is taken: no class is ruled out for certain.
 _LEAST_VOTE = 1e-3
 #: Pulls the parameters towards no change at all, for libraries that hardly say anything.
 _RIDGE = 1e-3
@@ -36,11 +37,12 @@ _NOISE_M = 0.005
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """How votes become probabilities.
+    """Turns votes into probabilities.
 
     Attributes:
-        parameters: (5,) four of the logarithm of the power: a constant, half a metre's share of the reach, its
-            square, and whether it has hardly begun; the last of the constant share (logit).
+        parameters: (5,) The first four give the logarithm of the power: weights of a constant, of the reach so far in
+            half metres, of its square, and of a term that is 1 at the start and soon fades. The last is the logit of
+            the constant share.
     """
 
     parameters: FloatArray
@@ -98,12 +100,12 @@ def _calibrated(parameters: FloatArray, votes: FloatArray, reached_m: FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Novelty:
-    """What was learned of distances to the library.
+    """Turns distances from the library into odds of no class.
 
     Attributes:
         points: (M, 6) `COLUMNS` of the library's postures, motion by motion, metres.
         first: (K + 1,) where each motion's postures begin.
-        weights: (4,) of the logarithm of how much more probable a distance is if the reach is of no class.
+        weights: (4,) give ln p(distance | of no class) / p(distance | of some class) from `_inputs`.
     """
 
     points: Float32Array
@@ -156,7 +158,7 @@ def _logistic_weights(known: FloatArray, unknown: FloatArray) -> FloatArray:
 
 @exact
 def _inputs(distance_m: FloatArray, reached_m: Float32Array) -> FloatArray:
-    """Return (N, 4) what the ratio is linear in: a distance means nothing before the reach has begun."""
+    """Return (N, 4) the inputs that the log ratio is linear in; the reach so far is among them."""
     inputs = np.empty((len(distance_m), 4))
     for n in range(len(distance_m)):
         log_distance = np.log((distance_m[n] + _NOISE_M) / 0.05)

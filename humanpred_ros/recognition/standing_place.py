@@ -1,14 +1,16 @@
-"""A library recorded at one place serves a person who stands at another: where is this person, seen from the library?
+"""Where a person stands, compared with the people of the library, and the rigid motion that brings them together.
 
-People at one place never stand twice in quite the same way, and the places they reach for do not move with them. So a
-person who starts within the spread of the library's own starts is taken to stand where the library was recorded;
-only one who clearly does not is moved there, rigidly on the floor. Several motions from one place make that
-estimate better, because nobody's stance shows within a few centimetres and degrees where he stands.
+A library recorded at one place must serve a person who stands at another. People at one place never stand twice in
+quite the same way, and the places they reach for do not move with them. So a person who starts within the spread of the
+library's own starts is taken to stand where the library was recorded. Only a person who clearly starts elsewhere is
+moved there, rigidly on the floor. The estimate gets better with several motions from one place, because single starts
+differ by some centimetres and degrees.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,8 +33,8 @@ class StandingPlace:
     Attributes:
         pose: (3,) typical x, y (m) and yaw (rad) of the pelvis at the start, library frame.
         spread: (3,) their standard deviations, from quantiles, so that mistracked motions do not count.
-        limit: how many spreads away a start is still of this place. Four: of 1000 motions from the library's
-            place, one or none would be moved.
+        limit: a start within so many spreads is one of this place. With four, at most one of 1000 motions from the
+            library's place would be moved.
     """
 
     pose: FloatArray
@@ -49,14 +51,13 @@ class StandingPlace:
     def of_starts(cls, poses: FloatArray) -> StandingPlace:
         """Return the place of motions that start with the pelvis at (M, 3) x, y, yaw."""
         poses = checked("start poses", poses, ("M", 3))
-        typical = np.append(np.median(poses[:, :2], axis=0), np.angle(np.exp(1j * poses[:, 2]).sum()))
-        typical[2] += np.median(_wrapped(poses[:, 2] - typical[2]))
+        typical = _typical(poses)
         deviation = np.column_stack([poses[:, :2] - typical[:2], _wrapped(poses[:, 2] - typical[2])])
         # Of a normal distribution, nine tenths lie within 1.645 standard deviations; the rest may be mistracked.
         return cls(typical, np.maximum(np.quantile(np.abs(deviation), 0.9, axis=0) / 1.645, _LEAST_SPREAD))
 
     def holds(self, pose: FloatArray, other: FloatArray | None = None) -> bool:
-        """Return whether somebody at `pose` (3,) stands at `other` (3,), by default at this place itself."""
+        """Return whether a person at `pose` (3,) stands at `other` (3,); by default at this place itself."""
         away = pose - (self.pose if other is None else other)
         away[2] = _wrapped(away[2])
         return bool((np.abs(away) <= self.limit * self.spread).all())
@@ -84,13 +85,13 @@ class PlaceTracker:
         return bool(self.p.any())
 
     def start(self) -> None:
-        """A new motion begins; where the last ones began is remembered.
+        """Begin a new motion; the starts of the last ones are remembered.
 
-        What ended before it had well begun does not count: on a stream, that is every posture at rest.
+        A motion of fewer postures than a start needs does not count: on a stream, that is every posture at rest.
         """
         if len(self._seen) == _N_START:
             now = _typical(self._seen)
-            if self._starts and not self.place.holds(now, _typical(list(self._starts))):
+            if self._starts and not self.place.holds(now, _typical(self._starts)):
                 self._starts.clear()
             self._starts.append(now)
         self._seen = []
@@ -101,9 +102,8 @@ class PlaceTracker:
             return
         self._seen.append(np.array([T_pelvis[0, 3], T_pelvis[1, 3], np.arctan2(T_pelvis[1, 0], T_pelvis[0, 0])]))
         now = _typical(self._seen)
-        known = list(self._starts)
-        if known and self.place.holds(now, _typical(known)):
-            now = _typical([*known, now])
+        if self._starts and self.place.holds(now, _typical(self._starts)):
+            now = _typical([*self._starts, now])
         if self.place.holds(now):
             self.R, self.p = np.eye(3), np.zeros(3)
         else:
@@ -113,12 +113,12 @@ class PlaceTracker:
 def start_pose(T_pelvis: FloatArray) -> FloatArray:
     """Return the (3,) x, y and yaw at which a motion starts, from the pelvis' poses (T, 4, 4)."""
     first = T_pelvis[:_N_START]
-    return _typical(list(np.column_stack([first[:, :2, 3], np.arctan2(first[:, 1, 0], first[:, 0, 0])])))
+    return _typical(np.column_stack([first[:, :2, 3], np.arctan2(first[:, 1, 0], first[:, 0, 0])]))
 
 
-def _typical(poses: list[FloatArray]) -> FloatArray:
-    """Return the median pose; the yaws' around their circular mean."""
-    stacked = np.stack(poses)
+def _typical(poses: Iterable[FloatArray]) -> FloatArray:
+    """Return the median (3,) of poses (3,); that of the yaws is taken around their circular mean."""
+    stacked = np.stack(list(poses))
     mean = np.angle(np.exp(1j * stacked[:, 2]).sum())
     return np.append(np.median(stacked[:, :2], axis=0), mean + np.median(_wrapped(stacked[:, 2] - mean)))
 

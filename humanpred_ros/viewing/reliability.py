@@ -119,7 +119,7 @@ def _compared(
         # The posture at the sample's time, the next one where that was not recorded.
         posture = int(np.searchsorted(run.postures.t_s, sample.t_s - _STAMP_TOLERANCE_S))
         n_swept = len(last_touched) - int(np.searchsorted(last_touched, posture))
-        n_now = len(body.voxels(run.postures.q[posture]))
+        n_now = int(body.mask(run.postures.q[posture]).sum())
         swept = last[grid.flat_index(sample.centres_m)] >= posture
         tally[MOVING if moving else AT_REST].add(sample.probability, swept, n_swept, n_now)
     return {name: part.figures() for name, part in tally.items() if part.occupancies}

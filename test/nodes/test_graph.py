@@ -29,7 +29,7 @@ from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.occupancy.predictor import PredictorRequest, make_predictor
 from humanpred_ros.planning.replanner import Replanner
-from humanpred_ros.recognition.model_file import load_model
+from humanpred_ros.recognition.training import load_model
 from humanpred_ros.robot.scene import load_scene
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")

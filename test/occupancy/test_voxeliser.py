@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from small_library import REST, small_library
 
-from humanpred_ros.errors import HumanModelError, UsageError
+from humanpred_ros.errors import HumanModelError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
@@ -28,7 +28,6 @@ PLACEMENTS = [
     turn_and_shift(3.0, (1.45, -1.4, -0.9)),
     turn_and_shift(0.0, (500.0, 0.0, 0.0)),
 ]
-ARM = ("right_upper_arm", "right_shoulder", "right_elbow", "right_forearm", "right_wrist", "right_palm")
 
 
 def plain_mask(q: FloatArray, T_world_human: FloatArray, spacing_m: float = 0.02) -> np.ndarray:
@@ -77,44 +76,20 @@ def test_also_when_a_link_has_many_points(spacing_m: float) -> None:
 def test_no_posture_is_too_far_away(q: np.ndarray) -> None:
     voxeliser = BodyVoxeliser(HUMAN, GRID, np.eye(4))
     assert voxeliser.mask(q).shape == GRID.shape
-    assert len(voxeliser.posture_voxels(q)) == 3
 
 
 @pytest.mark.parametrize("T", PLACEMENTS)
 def test_all_forms_agree(T: np.ndarray) -> None:
-    motion = small_library(1, 1, 300).motions[0]  # more than are listed at a time
+    motion = small_library(1, 1, 300).motions[0]
     voxeliser = BodyVoxeliser(HUMAN, GRID, T)
     masks = np.array([voxeliser.mask(q) for q in motion.q])
-    listed = voxeliser.posture_voxels(motion.q)
-    assert len(listed) == len(motion)
-    for t, mask in enumerate(masks):
-        np.testing.assert_array_equal(listed.of(t), np.flatnonzero(mask))
-    np.testing.assert_array_equal(voxeliser.voxels(motion.q[7]), np.flatnonzero(masks[7]))
-    np.testing.assert_array_equal(voxeliser.voxels(motion.q), np.flatnonzero(masks.any(axis=0)))
     np.testing.assert_array_equal(voxeliser.mask(motion.q), masks.any(axis=0))
     last = voxeliser.last_touch(motion.q)
     for t in (0, 1, 150, 299):
         np.testing.assert_array_equal(last >= t, masks[t:].any(axis=0))
 
 
-def test_some_links_alone() -> None:
-    q = small_library(1, 1, 5).motions[0].q
-    arm = BodyVoxeliser(HUMAN, GRID, np.eye(4), links=ARM)
-    rest = BodyVoxeliser(HUMAN, GRID, np.eye(4), links=set(HUMAN.link_names) - set(ARM))
-    whole = BodyVoxeliser(HUMAN, GRID, np.eye(4))
-    np.testing.assert_array_equal(arm.mask(q) | rest.mask(q), whole.mask(q))
-    assert 0 < arm.mask(q).sum() < 0.3 * whole.mask(q).sum()
-    moved = q.copy()
-    moved[:, 11] += 0.5  # the elbow
-    np.testing.assert_array_equal(rest.mask(moved), rest.mask(q))
-    assert (arm.mask(moved) != arm.mask(q)).any()
-
-
-def test_links_that_cannot_be_used_are_named() -> None:
-    with pytest.raises(UsageError, match=r"got tail; it has .*right_palm"):
-        BodyVoxeliser(HUMAN, GRID, np.eye(4), links=["right_palm", "tail"])
-    with pytest.raises(UsageError, match="kinect_torso have none"):
-        BodyVoxeliser(HUMAN, GRID, np.eye(4), links=["kinect_torso"])
+def test_what_is_no_posture_is_refused() -> None:
     with pytest.raises(HumanModelError):
         BodyVoxeliser(HUMAN, GRID, np.eye(4)).last_touch(np.full((2, 12), np.nan))
 
@@ -122,14 +97,14 @@ def test_links_that_cannot_be_used_are_named() -> None:
 def test_threads_do_not_disturb_each_other() -> None:
     voxeliser = BodyVoxeliser(HUMAN, GRID, np.eye(4))
     motions = [motion.q for motion in small_library(3, 4, 20)] * 4
-    alone = [voxeliser.posture_voxels(q).flat for q in motions]
+    alone = [voxeliser.mask(q) for q in motions]
     with ThreadPoolExecutor(4) as pool:
-        together = list(pool.map(lambda q: voxeliser.posture_voxels(q).flat, motions))
+        together = list(pool.map(lambda q: voxeliser.mask(q), motions))
     for a, b in zip(alone, together, strict=True):
         np.testing.assert_array_equal(a, b)
 
 
 def test_travels_between_processes() -> None:
-    voxeliser = BodyVoxeliser(HUMAN, GRID, PLACEMENTS[1], links=ARM)
+    voxeliser = BodyVoxeliser(HUMAN, GRID, PLACEMENTS[1])
     copy = pickle.loads(pickle.dumps(voxeliser))
     np.testing.assert_array_equal(copy.mask(REST), voxeliser.mask(REST))

@@ -21,11 +21,11 @@ from small_library import small_library
 
 from humanpred_ros.errors import ModelFileError
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.recognition import model_file
+from humanpred_ros.recognition import training
 from humanpred_ros.recognition.forest import ForestSettings
 from humanpred_ros.recognition.forest_classifier import ForestClassifier
 from humanpred_ros.recognition.gmm_classifier import GmmSettings
-from humanpred_ros.recognition.model_file import TrainedModel, load_model, model_of, save_model, train_model
+from humanpred_ros.recognition.training import TrainedModel, load_model, model_of, save_model, train_model
 
 pytestmark = pytest.mark.core
 
@@ -220,7 +220,7 @@ def test_an_interrupted_write_leaves_the_old_file(saved: Path, tmp_path: Path, m
         file.write(b"half of")
         raise OSError("no space left")
 
-    monkeypatch.setattr(model_file.np, "savez", disk_full)
+    monkeypatch.setattr(training.np, "savez", disk_full)
     other = replace(trained(), library=small_library(2, 2))
     with pytest.raises(ModelFileError, match="no space left"):
         save_model(other, path)
@@ -240,7 +240,7 @@ def test_loading_stays_light(saved: Path) -> None:
     """A node that loads a model starts without the plotting and learning packages."""
     code = (
         "import sys; from humanpred_ros.human.model import HumanModel; "
-        "from humanpred_ros.recognition.model_file import load_model; "
+        "from humanpred_ros.recognition.training import load_model; "
         "from humanpred_ros.occupancy.predictor import predictor_type; predictor_type('forecast'); "
         f"load_model({str(saved)!r}, HumanModel.kinect12()); "
         "print([m for m in ('sklearn', 'matplotlib') if m in sys.modules])"
@@ -296,7 +296,7 @@ def test_a_model_is_found_again_by_what_it_was_trained_on(tmp_path: Path, monkey
     first = model_of(library, HUMAN, forest, folder=tmp_path)
     assert_same(load_model(first, HUMAN), train_model(library, HUMAN, forest))
     with monkeypatch.context() as patched:
-        patched.setattr(model_file, "train_model", None)  # not trained again
+        patched.setattr(training, "train_model", None)  # not trained again
         assert model_of(small_library(2, 3), HUMAN, forest, folder=tmp_path) == first
     others = [
         model_of(library.select(lambda m: m.name != "0/1"), HUMAN, forest, folder=tmp_path),
@@ -309,7 +309,7 @@ def test_a_model_is_found_again_by_what_it_was_trained_on(tmp_path: Path, monkey
 
 
 def test_only_the_latest_models_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(model_file, "_KEPT_MODELS", 2)
+    monkeypatch.setattr(training, "_KEPT_MODELS", 2)
     paths = []
     for k in range(3):
         paths.append(model_of(small_library(2, 2, seed=k), HUMAN, {}, folder=tmp_path))
