@@ -52,7 +52,7 @@ def _spheres_done(world: BenchWorld, q: FloatArray) -> float:
     done = 0.0
     for link in np.unique(obstacle.spheres.link):
         of_link = obstacle.spheres.link == link
-        local, radius = obstacle.spheres.centre_m[of_link], obstacle.spheres.radius_m[of_link]
+        local, radius = obstacle.spheres.local_m[of_link], obstacle.spheres.radius_m[of_link]
         centre, bound = _ball(local, radius)
         rotation, position = poses[:, link, :3, :3], poses[:, link, :3, 3]
         link_near = _blocks(obstacle.field.nearest(rotation @ centre + position) <= bound + slack, BLOCK - 2)

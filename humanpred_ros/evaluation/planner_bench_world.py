@@ -151,7 +151,7 @@ def body_spheres(arm: Pr2Arm, count: int) -> BodySpheres:
     """
     spheres = arm.spheres()
     kept = _thinned(len(spheres), min(count, len(spheres)))
-    link, centre, radius = spheres.link[kept].tolist(), list(spheres.centre_m[kept]), spheres.radius_m[kept].tolist()
+    link, centre, radius = spheres.link[kept].tolist(), list(spheres.local_m[kept]), spheres.radius_m[kept].tolist()
     halved = [0] * len(link)
     while len(link) < count:
         # The largest first; once halved, a sphere counts as half as large.

@@ -128,7 +128,7 @@ class KinematicChain:
 
         n = self.n_joints
         flat = np.ascontiguousarray(q.reshape(-1, n))
-        poses = link_poses(flat, *self.joints, np.arange(1, n + 1), np.tile(np.eye(4), (n, 1, 1)))
+        poses = link_poses(flat, self.joints, np.arange(1, n + 1), np.tile(np.eye(4), (n, 1, 1)))
         return poses.reshape(*q.shape[:-1], n, 4, 4)
 
     def tool_pose(self, q: ArrayLike) -> FloatArray:
@@ -144,86 +144,67 @@ class BodyPoints:
     Attributes:
         link: (P,) index of the joint the point moves with.
         local_m: (P, 3) position in that joint's frame.
+
+    Raises:
+        ArrayError: for arrays that do not fit each other, or a negative index.
     """
 
     link: NDArray[np.int64]
     local_m: FloatArray
 
     def __post_init__(self) -> None:
-        link, local = _attached("body points", self.link, self.local_m)
-        object.__setattr__(self, "link", link)
-        object.__setattr__(self, "local_m", local)
+        link = np.asarray(self.link, dtype=np.int64)
+        if link.ndim != 1 or (link < 0).any():
+            raise ArrayError(f"{type(self).__name__}: wanted one joint index >= 0 per entry, got {self.link!r:.80}")
+        object.__setattr__(self, "link", frozen(link))
+        self._freeze("local_m", (len(link), 3))
+
+    def _freeze(self, name: str, shape: tuple[int, ...], *, positive: bool = False) -> None:
+        array = checked(f"{type(self).__name__} {name}", getattr(self, name), shape)
+        if positive and (array <= 0).any():
+            raise ArrayError(f"{type(self).__name__} {name}: wanted positive metres, got {array.min()}")
+        object.__setattr__(self, name, frozen(array))
 
     def __len__(self) -> int:
         return len(self.link)
 
     def world_m(self, chain: KinematicChain, q: ArrayLike) -> FloatArray:
         """Return the (..., P, 3) world positions at configurations `q` (..., J)."""
-        return _carried(chain, q, self.link, self.local_m)
+        poses = chain.link_poses(q)[..., self.link, :, :]
+        world: FloatArray = np.einsum("...pij,pj->...pi", poses[..., :3, :3], self.local_m) + poses[..., :3, 3]
+        return world
 
 
 @dataclass(frozen=True, eq=False)
-class BodySpheres:
-    """Spheres that together cover the moving bodies, for collision.
+class BodySpheres(BodyPoints):
+    """Spheres that together cover the moving bodies, for collision: centres as `BodyPoints`, and radii (P,)."""
 
-    Attributes:
-        link: (S,) index of the joint the sphere moves with.
-        centre_m: (S, 3) centre in that joint's frame.
-        radius_m: (S,).
-    """
-
-    link: NDArray[np.int64]
-    centre_m: FloatArray
     radius_m: FloatArray
 
     def __post_init__(self) -> None:
-        link, centre = _attached("body spheres", self.link, self.centre_m)
-        radius = checked("sphere radius", self.radius_m, (len(link),))
-        if (radius <= 0).any():
-            raise ArrayError(f"sphere radius: wanted positive metres, got {radius.min()}")
-        object.__setattr__(self, "link", link)
-        object.__setattr__(self, "centre_m", centre)
-        object.__setattr__(self, "radius_m", frozen(radius))
-
-    def __len__(self) -> int:
-        return len(self.link)
-
-    def world_m(self, chain: KinematicChain, q: ArrayLike) -> FloatArray:
-        """Return the (..., S, 3) world centres at configurations `q` (..., J)."""
-        return _carried(chain, q, self.link, self.centre_m)
+        super().__post_init__()
+        self._freeze("radius_m", (len(self),), positive=True)
 
 
 @dataclass(frozen=True, eq=False)
-class BodyBoxes:
-    """Boxes that together fill the moving bodies, inside included, for what must not enter them.
+class BodyBoxes(BodyPoints):
+    """Boxes that fill the moving bodies, inside included, for what must not enter them.
 
-    Attributes:
-        link: (B,) index of the joint the box moves with.
-        lower_m, upper_m: (B, 3) corners in that joint's frame, along whose axes the box lies.
+    Centres as `BodyPoints`, and half lengths (P, 3) along the axes of the joint's frame.
     """
 
-    link: NDArray[np.int64]
-    lower_m: FloatArray
-    upper_m: FloatArray
+    half_m: FloatArray
 
     def __post_init__(self) -> None:
-        link, lower = _attached("body boxes", self.link, self.lower_m)
-        upper = checked("body boxes", self.upper_m, (len(link), 3))
-        if not (lower < upper).all():
-            raise ArrayError("body boxes: wanted lower < upper along every axis, got a box without volume")
-        object.__setattr__(self, "link", link)
-        object.__setattr__(self, "lower_m", lower)
-        object.__setattr__(self, "upper_m", frozen(upper))
-
-    def __len__(self) -> int:
-        return len(self.link)
+        super().__post_init__()
+        self._freeze("half_m", (len(self), 3), positive=True)
 
 
 def reach_m(chain: KinematicChain, spheres: BodySpheres) -> tuple[FloatArray, float]:
     """Return centre (3,) and radius of a ball that the spheres on a chain never leave, world frame, metres."""
     lengths = np.linalg.norm(chain.joint_origin_m, axis=1)
     to_joint = np.concatenate([[0.0], np.cumsum(lengths[1:])])
-    beyond = np.linalg.norm(spheres.centre_m, axis=1) + spheres.radius_m
+    beyond = np.linalg.norm(spheres.local_m, axis=1) + spheres.radius_m
     root = chain.T_world_root
     centre: FloatArray = root[:3, :3] @ chain.joint_origin_m[0] + root[:3, 3]
     return centre, float((to_joint[spheres.link] + beyond).max())
@@ -235,17 +216,3 @@ def inverse_pose(T: FloatArray) -> FloatArray:
     inverse[:3, :3] = T[:3, :3].T
     inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
     return inverse
-
-
-def _attached(name: str, link: ArrayLike, local: ArrayLike) -> tuple[NDArray[np.int64], FloatArray]:
-    link_array = np.asarray(link, dtype=np.int64)
-    if link_array.ndim != 1 or (link_array < 0).any():
-        raise ArrayError(f"{name}: wanted one joint index >= 0 per entry, got {link_array!r:.80}")
-    local_array = checked(name, local, (len(link_array), 3))
-    return frozen(link_array), frozen(local_array)  # type: ignore[return-value]
-
-
-def _carried(chain: KinematicChain, q: ArrayLike, link: NDArray[np.int64], local: FloatArray) -> FloatArray:
-    poses = chain.link_poses(q)[..., link, :, :]
-    world: FloatArray = np.einsum("...pij,pj->...pi", poses[..., :3, :3], local) + poses[..., :3, 3]
-    return world

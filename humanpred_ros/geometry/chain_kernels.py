@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.compiled import exact, exact_part, fast, fast_inline, fast_part
-from humanpred_ros.geometry.joints import AXIS, FIRST, KIND, LAST, ROTATION, SIGN, TURNED
+from humanpred_ros.geometry.compiled import Array, exact, exact_part, fast, fast_inline, fast_part
+from humanpred_ros.geometry.joints import AXIS, FIRST, KIND, LAST, ROTATION, SIGN, TURNED, Joints
 
 Scalar: TypeAlias = Any
 
@@ -43,8 +43,9 @@ _C8, _C10, _C12 = (np.float32(c) for c in (1 / 40320, -1 / 3628800, 1 / 47900160
 
 
 @exact_part
-def joint_frames(q: FloatArray, parent: NDArray[np.int64], table: FloatArray, frames: FloatArray) -> None:
+def joint_frames(q: FloatArray, joints: Joints, frames: FloatArray) -> None:
     """Write the frames after each joint at q (J,): frames (J + 1, 3, 4), the root's first, which is the identity."""
+    parent, table = joints
     for a in range(3):
         for b in range(4):
             frames[0, a, b] = 1.0 if a == b else 0.0
@@ -74,25 +75,19 @@ def joint_frames(q: FloatArray, parent: NDArray[np.int64], table: FloatArray, fr
 
 
 @exact
-def link_poses(
-    q: FloatArray,
-    parent: NDArray[np.int64],
-    table: FloatArray,
-    link_joint: NDArray[np.int64],
-    T_joint_link: FloatArray,
-) -> FloatArray:
+def link_poses(q: FloatArray, joints: Joints, link_joint: NDArray[np.int64], T_joint_link: FloatArray) -> FloatArray:
     """Return the poses (T, L, 4, 4) of links in the root's frame, for configurations (T, J).
 
     Args:
         q: rad and m.
-        parent, table: see `Joints`.
+        joints: of an arm or a person.
         link_joint: (L,) number of the joint each link is fixed to.
         T_joint_link: (L, 4, 4) of each link in that joint.
     """
     out = np.empty((len(q), len(link_joint), 4, 4))
-    frames = np.empty((len(table) + 1, 3, 4))
+    frames = np.empty((len(joints.table) + 1, 3, 4))
     for t in range(len(q)):
-        joint_frames(q[t], parent, table, frames)
+        joint_frames(q[t], joints, frames)
         for k in range(len(link_joint)):
             A, B = frames[link_joint[k]], T_joint_link[k]
             for a in range(3):
@@ -105,20 +100,18 @@ def link_poses(
 
 
 @exact
-def point_positions(
-    q: FloatArray, parent: NDArray[np.int64], table: FloatArray, joint: NDArray[np.int64], local: FloatArray
-) -> FloatArray:
+def point_positions(q: FloatArray, joints: Joints, joint: NDArray[np.int64], local: FloatArray) -> FloatArray:
     """Return the places (M, P, 3) of points in the root's frame, for configurations (M, J).
 
     Args:
-        q, parent, table: as in `link_poses`.
+        q, joints: as in `link_poses`.
         joint: (P,) number of the joint each point is fixed to.
         local: (P, 3) the points in their joints' frames, m.
     """
     out = np.empty((len(q), len(local), 3))
-    frames = np.empty((len(table) + 1, 3, 4))
+    frames = np.empty((len(joints.table) + 1, 3, 4))
     for m in range(len(q)):
-        joint_frames(q[m], parent, table, frames)
+        joint_frames(q[m], joints, frames)
         _write_points(frames, joint, local, out[m])
     return out
 
@@ -132,15 +125,14 @@ def _write_points(frames: FloatArray, joint: NDArray[np.int64], local: FloatArra
 
 
 @exact
-def point_jacobians(
-    q: FloatArray, parent: NDArray[np.int64], table: FloatArray, joint: NDArray[np.int64], local: FloatArray
-) -> FloatArray:
+def point_jacobians(q: FloatArray, joints: Joints, joint: NDArray[np.int64], local: FloatArray) -> FloatArray:
     """Return d(point)/d(joint) (M, P, 3, J) of the points of `point_positions`."""
+    parent, table = joints
     n_joints = len(table)
     out = np.zeros((len(q), len(local), 3, n_joints))
     frames, points, axis = np.empty((n_joints + 1, 3, 4)), np.empty((len(local), 3)), np.empty(3)
     for m in range(len(q)):
-        joint_frames(q[m], parent, table, frames)
+        joint_frames(q[m], joints, frames)
         _write_points(frames, joint, local, points)
         for k in range(len(local)):
             number = joint[k]
@@ -160,7 +152,7 @@ def point_jacobians(
 
 
 @fast
-def point_positions_32(q: NDArray[Any], table: NDArray[Any], points: NDArray[Any]) -> NDArray[Any]:
+def point_positions_32(q: Array, table: Array, points: Array) -> Array:
     """Return the places (M, P, 3) of points in the root's frame in single precision, a block at a time.
 
     Args:
@@ -189,7 +181,7 @@ def point_positions_32(q: NDArray[Any], table: NDArray[Any], points: NDArray[Any
 
 
 @fast_part
-def spread(root: NDArray[Any]) -> NDArray[Any]:
+def spread(root: Array) -> Array:
     """Repeat the 12 numbers of the root's frame for every configuration of a block."""
     frames = np.empty(12 * BLOCK, dtype=np.float32)
     for k in range(12):
@@ -199,14 +191,14 @@ def spread(root: NDArray[Any]) -> NDArray[Any]:
 
 
 @fast_part
-def start(w: NDArray[Any], frames: NDArray[Any]) -> None:
+def start(w: Array, frames: Array) -> None:
     """Put a block's frames to the root."""
     for i in range(12 * BLOCK):
         w[i] = frames[i]
 
 
 @fast_part
-def next_joint(w: NDArray[Any], q: NDArray[Any], first: int, j: int, table: NDArray[Any]) -> None:
+def next_joint(w: Array, q: Array, first: int, j: int, table: Array) -> None:
     """Carry a block's frames over joint j; its configurations start at row `first` of q.
 
     Configurations before the first and beyond the last row of q repeat these.
@@ -241,7 +233,7 @@ def next_joint(w: NDArray[Any], q: NDArray[Any], first: int, j: int, table: NDAr
 
 
 @fast_part
-def place(w: NDArray[Any], x: Scalar, y: Scalar, z: Scalar) -> None:
+def place(w: Array, x: Scalar, y: Scalar, z: Scalar) -> None:
     """Write where a point of the current joint's frame is to rows X, Y, Z."""
     for i in range(BLOCK):
         w[X + i] = w[i] * x + w[BLOCK + i] * y + w[2 * BLOCK + i] * z + w[9 * BLOCK + i]
@@ -250,7 +242,7 @@ def place(w: NDArray[Any], x: Scalar, y: Scalar, z: Scalar) -> None:
 
 
 @fast_part
-def _sincos(w: NDArray[Any]) -> None:
+def _sincos(w: Array) -> None:
     for i in range(BLOCK):
         x = w[_ANGLE + i]
         turns = np.rint(x * _INV_PI)
@@ -263,7 +255,7 @@ def _sincos(w: NDArray[Any]) -> None:
 
 
 @fast_part
-def _translate(w: NDArray[Any], x: Scalar, y: Scalar, z: Scalar) -> None:
+def _translate(w: Array, x: Scalar, y: Scalar, z: Scalar) -> None:
     for k in range(3):
         for i in range(BLOCK):
             w[(9 + k) * BLOCK + i] += (
@@ -272,14 +264,14 @@ def _translate(w: NDArray[Any], x: Scalar, y: Scalar, z: Scalar) -> None:
 
 
 @fast_part
-def _slide(w: NDArray[Any], axis: int) -> None:
+def _slide(w: Array, axis: int) -> None:
     for k in range(3):
         for i in range(BLOCK):
             w[(9 + k) * BLOCK + i] += w[(3 * k + axis) * BLOCK + i] * w[_ANGLE + i]
 
 
 @fast_part
-def _turn_fixed(w: NDArray[Any], f: NDArray[Any]) -> None:
+def _turn_fixed(w: Array, f: Array) -> None:
     for k in range(3):
         for i in range(BLOCK):
             a = w[3 * k * BLOCK + i]
@@ -291,7 +283,7 @@ def _turn_fixed(w: NDArray[Any], f: NDArray[Any]) -> None:
 
 
 @fast_inline
-def _rotate(w: NDArray[Any], u: int, v: int) -> None:
+def _rotate(w: Array, u: int, v: int) -> None:
     for k in range(3):
         for i in range(BLOCK):
             a = w[(3 * k + u) * BLOCK + i]
@@ -301,15 +293,15 @@ def _rotate(w: NDArray[Any], u: int, v: int) -> None:
 
 
 @fast_part
-def _rotate_x(w: NDArray[Any]) -> None:
+def _rotate_x(w: Array) -> None:
     _rotate(w, 1, 2)
 
 
 @fast_part
-def _rotate_y(w: NDArray[Any]) -> None:
+def _rotate_y(w: Array) -> None:
     _rotate(w, 2, 0)
 
 
 @fast_part
-def _rotate_z(w: NDArray[Any]) -> None:
+def _rotate_z(w: Array) -> None:
     _rotate(w, 0, 1)

@@ -150,7 +150,7 @@ class Description:
         for name, mimic in self.mimic.items():
             if name not in values:
                 q[0, self.joint_index(name)] = mimic.multiplier * q[0, self.joint_index(mimic.joint)] + mimic.offset
-        poses: FloatArray = link_poses(q, *self.joints, self.link_joint, self.T_joint_link)[0]
+        poses: FloatArray = link_poses(q, self.joints, self.link_joint, self.T_joint_link)[0]
         return poses
 
     def joint_index(self, name: str) -> int:

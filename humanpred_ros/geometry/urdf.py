@@ -18,7 +18,6 @@ import hashlib
 import io
 import os
 import pickle
-import sys
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -33,8 +32,6 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.description import Body, Description, MeshBody, Mimic
 from humanpred_ros.geometry.solids import Box, Capsule, EllipticCylinder, Shape, Sphere
 from humanpred_ros.resources import cache_root
-
-_PR2_URDF = Path("share", "example-robot-data", "robots", "pr2_description", "urdf", "pr2.urdf")
 
 
 def read_description(urdf: Path) -> Description:
@@ -70,27 +67,6 @@ def parse_description(text: str, folder: Path | None = None) -> Description:
         kept = _parse(text, folder)
         _keep(entry, kept)
     return kept
-
-
-def find_pr2_urdf() -> Path:
-    """Return the PR2's URDF from wherever example-robot-data is installed (wheel, conda, apt).
-
-    Raises:
-        UsageError: if it is nowhere; the message says what to install.
-    """
-    # pip puts the data into cmeel.prefix of some site-packages, others below a prefix that site-packages are also in.
-    prefixes = [
-        prefix for entry in sys.path if entry for prefix in (Path(entry) / "cmeel.prefix", *Path(entry).parents)
-    ]
-    prefixes += [Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
-    prefixes.append(Path(sys.prefix))
-    for prefix in prefixes:
-        if (prefix / _PR2_URDF).is_file():
-            return prefix / _PR2_URDF
-    raise UsageError(
-        f"the PR2's URDF was looked for as {_PR2_URDF} below {len(prefixes)} prefixes and not found; "
-        "install example-robot-data (pip install example-robot-data), or give the path of a URDF"
-    )
 
 
 def _parse(text: str, folder: Path | None) -> Description:

@@ -70,7 +70,7 @@ class ChainPoints:
         if postures.dtype == np.float32:
             points = chain_kernels.point_positions_32(postures, *self._single)
         else:
-            points = chain_kernels.point_positions(postures, *self.model.joints, self._joint, self._local)
+            points = chain_kernels.point_positions(postures, self.model.joints, self._joint, self._local)
         if not self._in_order:
             points = points[:, self._back]
         return np.asarray(points.reshape(*shape, len(self.links), 3))
@@ -78,7 +78,7 @@ class ChainPoints:
     def jacobian(self, q: ArrayLike) -> FloatArray:
         """Return the derivatives (..., P, 3, D) of the points over the DoFs, for postures (..., D), in float64."""
         postures, shape = self._flat(np.asarray(q, dtype=np.float64))
-        J = chain_kernels.point_jacobians(postures, *self.model.joints, self._joint, self._local)[:, self._back]
+        J = chain_kernels.point_jacobians(postures, self.model.joints, self._joint, self._local)[:, self._back]
         return np.asarray(J.reshape(*shape, len(self.links), 3, self._dofs))
 
     def _flat(self, q: ArrayLike) -> tuple[NDArray[Any], tuple[int, ...]]:

@@ -146,7 +146,7 @@ class HumanModel:
         postures = self._checked(q)
         from humanpred_ros.geometry.chain_kernels import link_poses  # numba, which not every node needs
 
-        poses = link_poses(postures, *self.joints, self.link_joint, self.T_joint_link)
+        poses = link_poses(postures, self.joints, self.link_joint, self.T_joint_link)
         return poses[0] if np.ndim(q) == 1 else poses
 
     def forward(self, q: ArrayLike) -> dict[str, FloatArray]:

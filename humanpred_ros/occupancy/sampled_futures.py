@@ -136,7 +136,7 @@ class SampledFutures(FutureVoxels):
     def _sweep(self, postures: FloatArray) -> None:
         S, N, D = postures.shape
         poses = chain_kernels.link_poses(
-            np.ascontiguousarray(postures.reshape(S * N, D)), *self.human.joints, self._part_joint, self._T_joint_part
+            np.ascontiguousarray(postures.reshape(S * N, D)), self.human.joints, self._part_joint, self._T_joint_part
         )
         kernels.sweep(
             poses.reshape(S, N, len(self._part_joint), 4, 4),

@@ -122,8 +122,8 @@ class MotionChecker:
         spheres, n = self.spheres, self.chain.n_joints
         order = np.argsort(spheres.link, kind="stable")
         return SphereArm(
-            *self.chain.joints,
-            spheres=np.column_stack([spheres.centre_m, spheres.radius_m])[order],
+            self.chain.joints,
+            spheres=np.column_stack([spheres.local_m, spheres.radius_m])[order],
             first=np.searchsorted(spheres.link[order], np.arange(n + 1)).astype(np.int64),
             lever=lever_arms_m(self.chain, spheres)[:, order],
         )
@@ -213,7 +213,7 @@ def lever_arms_m(chain: KinematicChain, spheres: BodySpheres) -> FloatArray:
     for j in range(chain.n_joints - 1):
         across[j] = np.linalg.norm(np.cross(chain.joint_origin_m[j + 1], chain.joint_axis[j]))
     lever = np.zeros((chain.n_joints, len(spheres)))
-    for k, (link, centre) in enumerate(zip(spheres.link, spheres.centre_m, strict=True)):
+    for k, (link, centre) in enumerate(zip(spheres.link, spheres.local_m, strict=True)):
         lever[link, k] = np.linalg.norm(np.cross(centre, chain.joint_axis[link]))
         beyond = float(np.linalg.norm(centre))
         for j in range(int(link) - 1, -1, -1):

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from humanpred_ros.geometry.chain_kernels import joint_frames
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.compiled import exact, exact_part
+from humanpred_ros.geometry.joints import Joints
 from humanpred_ros.geometry.lattice_kernels import Lattice, value_at
 
 #: A piece is never halved more often: 2^-40 of a second moves nothing.
@@ -28,14 +29,13 @@ class SphereArm(NamedTuple):
     """An arm of D joints and the S spheres that cover it, in the order of joints.
 
     Attributes:
-        parent, table: of the joints, as in `Joints`.
+        joints: of the arm.
         spheres: (S, 4) centre in the joint's frame and radius.
         first: (D + 1,) where each joint's spheres begin.
         lever: (D, S) distance of each sphere from each joint's axis, at most.
     """
 
-    parent: NDArray[np.int64]
-    table: FloatArray
+    joints: Joints
     spheres: FloatArray
     first: NDArray[np.int64]
     lever: FloatArray
@@ -44,8 +44,8 @@ class SphereArm(NamedTuple):
 @exact_part
 def clearances(q: FloatArray, arm: SphereArm, field: Lattice, frames: FloatArray, out: FloatArray) -> None:
     """Write each sphere's distance to obstacles less its radius (S,) at q (D,); frames (D + 1, 3, 4) to work in."""
-    joint_frames(q, arm.parent, arm.table, frames)
-    for j in range(len(arm.table)):
+    joint_frames(q, arm.joints, frames)
+    for j in range(len(arm.joints.table)):
         A = frames[j + 1]
         for k in range(arm.first[j], arm.first[j + 1]):
             x, y, z = arm.spheres[k, 0], arm.spheres[k, 1], arm.spheres[k, 2]

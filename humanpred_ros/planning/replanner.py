@@ -34,7 +34,7 @@ from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.planning.step import Candidate, Step
 from humanpred_ros.planning.trajectory import Schedule
 from humanpred_ros.planning.waiting import wait
-from humanpred_ros.robot.contacts import SelfCollision
+from humanpred_ros.robot.clearance import SelfCollision
 from humanpred_ros.robot.goals import Goal
 from humanpred_ros.robot.scene import Scene
 from humanpred_ros.stomp.costs import Float32Array

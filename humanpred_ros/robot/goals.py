@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from humanpred_ros.errors import GoalUnreachableError, SceneError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.geometry.solids import Obstacle
-from humanpred_ros.robot.contacts import nearest_contacts
+from humanpred_ros.robot.clearance import nearest_contacts
 from humanpred_ros.robot.inverse_kinematics import InverseKinematicsSettings, ToolPose, solve_tool_pose, spread
 from humanpred_ros.robot.pr2 import Pr2Arm
 from humanpred_ros.settings import Settings, setting

@@ -6,18 +6,20 @@ changed URDF cannot disagree with a stored copy. The base, torso, head and left 
 
 from __future__ import annotations
 
+import os
+import sys
 from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.errors import GoalUnreachableError, SceneError
+from humanpred_ros.errors import GoalUnreachableError, SceneError, UsageError
 from humanpred_ros.geometry.chain import BodyBoxes, BodyPoints, BodySpheres, KinematicChain, reach_m
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.description import LinkSurface, PlacedDescription
 from humanpred_ros.geometry.solids import Box, Obstacle
-from humanpred_ros.geometry.urdf import find_pr2_urdf, read_description
+from humanpred_ros.geometry.urdf import read_description
 from humanpred_ros.robot.surface import Bounds, covering_boxes, covering_spheres, sample
 
 _ARM_JOINTS = (
@@ -61,6 +63,7 @@ _LARGEST_SPHERE_M = {
 _LARGEST_OTHER_SPHERE_M = 0.05
 _LARGEST_SHOULDER_SPHERE_M = 0.1  # only decides whether a scene leaves the shoulder room
 _LEAST_SAVING_M3 = 0.0005  # half a litre: some 60 boxes in all; the torso's are 0.064 m3, one box would be 0.173
+_PR2_URDF = Path("share", "example-robot-data", "robots", "pr2_description", "urdf", "pr2.urdf")
 _LIMIT_TOLERANCE_RAD = 1e-6  # limits are written with about ten digits, scene angles with six
 
 
@@ -211,6 +214,27 @@ class Pr2Arm:
             )
 
 
+def find_pr2_urdf() -> Path:
+    """Return the PR2's URDF from wherever example-robot-data is installed (wheel, conda, apt).
+
+    Raises:
+        UsageError: if it is nowhere; the message says what to install.
+    """
+    # pip puts the data into cmeel.prefix of some site-packages, others below a prefix that site-packages are also in.
+    prefixes = [
+        prefix for entry in sys.path if entry for prefix in (Path(entry) / "cmeel.prefix", *Path(entry).parents)
+    ]
+    prefixes += [Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
+    prefixes.append(Path(sys.prefix))
+    for prefix in prefixes:
+        if (prefix / _PR2_URDF).is_file():
+            return prefix / _PR2_URDF
+    raise UsageError(
+        f"the PR2's URDF was looked for as {_PR2_URDF} below {len(prefixes)} prefixes and not found; "
+        "install example-robot-data (pip install example-robot-data), or give the path of a URDF"
+    )
+
+
 # The covers below do not depend on where the robot stands, so scenes of one process share them.
 
 
@@ -242,8 +266,8 @@ def _inner_box_cover(urdf: Path) -> BodyBoxes:
         for joint, surface in _moving(urdf, 0, _ELBOW_JOINT)
         for lower, upper in covering_boxes(surface.triangles, _LEAST_SAVING_M3)
     ]
-    link, lower, upper = zip(*boxes, strict=True)
-    return BodyBoxes(np.array(link), np.array(lower), np.array(upper))
+    link, lower, upper = (np.array(part) for part in zip(*boxes, strict=True))
+    return BodyBoxes(link, (lower + upper) / 2.0, (upper - lower) / 2.0)
 
 
 @lru_cache(maxsize=2)

@@ -18,7 +18,7 @@ from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.geometry.distance_field import DEFAULT_RESOLUTION_M, SignedDistanceField, build_distance_field
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.geometry.solids import Box, Obstacle, cylinder, planar_pose
-from humanpred_ros.robot.contacts import nearest_contacts, shoulder_approach
+from humanpred_ros.robot.clearance import nearest_contacts, shoulder_approach
 from humanpred_ros.robot.goals import Goal, tool_goal
 from humanpred_ros.robot.pr2 import Pr2Arm
 from humanpred_ros.robot.scene_file import GoalSection, SceneFile, read_scene_file

@@ -208,7 +208,7 @@ class ObstacleCost(CostTerm):
             )
         self.spheres, self.field = spheres, field
         self.clearance_m, self.margin_m, self.duration_s = clearance_m, margin_m, duration_s
-        arm = flatten(chain, spheres.link, spheres.centre_m, spheres.radius_m, field.origin_m, field.resolution_m)
+        arm = flatten(chain, spheres.link, spheres.local_m, spheres.radius_m, field.origin_m, field.resolution_m)
         self._table = Obstacles(
             arm, field.values.ravel(), field.values.shape, np.float32(field.resolution_m), np.float32(0.0),
             np.float32(clearance_m), np.float32(margin_m), np.float32(self.weight),

@@ -72,8 +72,8 @@ def test_the_arm_gets_as_many_spheres_as_asked_on_the_same_links(scene: Scene, c
     if count >= len(shipped):
         assert set(spheres.link) == set(shipped.link)
         # What a shipped sphere covers is covered still, to within a quarter of its radius and what halving adds.
-        for link, centre, radius in zip(shipped.link, shipped.centre_m, shipped.radius_m, strict=True):
-            near = np.linalg.norm(spheres.centre_m[spheres.link == link] - centre, axis=1)
+        for link, centre, radius in zip(shipped.link, shipped.local_m, shipped.radius_m, strict=True):
+            near = np.linalg.norm(spheres.local_m[spheres.link == link] - centre, axis=1)
             assert near.min() <= 0.5 * radius
 
 

@@ -54,10 +54,10 @@ def test_link_poses_are_products_of_transforms(axes: str, seed: int) -> None:
     T_joint_link = np.tile(np.eye(4), (4, 1, 1))
     T_joint_link[:, :3, :3] = Rotation.random(4, random_state=seed).as_matrix()
     T_joint_link[:, :3, 3] = rng.normal(size=(4, 3))
-    poses = link_poses(q, *joints, joint, T_joint_link)
+    poses = link_poses(q, joints, joint, T_joint_link)
     wanted = [frames(posture, joints, *parts)[joint] @ T_joint_link for posture in q]
     np.testing.assert_allclose(poses, wanted, atol=1e-12)
-    points = point_positions(q, *joints, joint, T_joint_link[:, :3, 3].copy())
+    points = point_positions(q, joints, joint, T_joint_link[:, :3, 3].copy())
     np.testing.assert_allclose(points, np.array(wanted)[..., :3, 3], atol=1e-12)
 
 
@@ -67,10 +67,10 @@ def test_jacobians_are_finite_differences(seed: int) -> None:
     rng = np.random.default_rng(seed)
     q = rng.uniform(-3.0, 3.0, (2, len(joints.parent)))
     joint, local = rng.integers(0, len(joints.parent) + 1, 3), rng.normal(size=(3, 3))
-    found = point_jacobians(q, *joints, joint, local)
+    found = point_jacobians(q, joints, joint, local)
     step = 1e-6
     for j, unit in enumerate(np.eye(len(joints.parent))):
-        ahead, back = (point_positions(q + sign * step * unit, *joints, joint, local) for sign in (1.0, -1.0))
+        ahead, back = (point_positions(q + sign * step * unit, joints, joint, local) for sign in (1.0, -1.0))
         np.testing.assert_allclose(found[..., j], (ahead - back) / (2.0 * step), atol=1e-8)
 
 
@@ -86,4 +86,4 @@ def test_single_precision_in_blocks_is_double_precision_rounded(seed: int, count
     points = np.column_stack([local, np.zeros(5)]).astype(np.float32)
     found = point_positions_32(q, table, points)
     assert found.dtype == np.float32
-    np.testing.assert_allclose(found, point_positions(q.astype(np.float64), *joints, joint, local), atol=3e-5)
+    np.testing.assert_allclose(found, point_positions(q.astype(np.float64), joints, joint, local), atol=3e-5)

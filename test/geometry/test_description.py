@@ -11,7 +11,8 @@ from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry import urdf as reader
 from humanpred_ros.geometry.description import Description, PlacedDescription
 from humanpred_ros.geometry.solids import Box, Capsule, EllipticCylinder, Sphere, planar_pose
-from humanpred_ros.geometry.urdf import find_pr2_urdf, parse_description, read_description
+from humanpred_ros.geometry.urdf import parse_description, read_description
+from humanpred_ros.robot.pr2 import find_pr2_urdf
 
 pytestmark = pytest.mark.core
 
@@ -95,21 +96,6 @@ def test_joints_that_do_not_follow_each_other_are_refused() -> None:
     model = PlacedDescription(read_description(find_pr2_urdf()), np.eye(4), {})
     with pytest.raises(UsageError, match="follow each other"):
         model.chain(["r_shoulder_pan_joint", "r_elbow_flex_joint"], "r_gripper_tool_frame")
-
-
-def test_urdf_is_found_below_a_ros_prefix_or_its_absence_explained(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    elsewhere = tmp_path / "share" / "example-robot-data" / "robots" / "pr2_description" / "urdf" / "pr2.urdf"
-    monkeypatch.setattr(reader.sys, "path", [])
-    monkeypatch.setattr(reader.sys, "prefix", str(tmp_path / "empty"))
-    monkeypatch.setenv("AMENT_PREFIX_PATH", "")
-    with pytest.raises(UsageError, match="pip install example-robot-data"):
-        find_pr2_urdf()
-    elsewhere.parent.mkdir(parents=True)
-    elsewhere.write_text("<robot/>")
-    monkeypatch.setenv("AMENT_PREFIX_PATH", f"/nowhere:{tmp_path}")
-    assert find_pr2_urdf() == elsewhere
 
 
 def test_every_kind_of_solid_is_read() -> None:

@@ -15,10 +15,9 @@ from small_library import REST
 from humanpred_ros.errors import ArrayError, HumanModelError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.solids import Box, Obstacle, planar_pose
-from humanpred_ros.geometry.urdf import find_pr2_urdf
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.robot.clearance import SeparationMeter
-from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
+from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS, find_pr2_urdf
 from humanpred_ros.robot.scene import Scene, load_scene
 
 SCENES = {name: load_scene(name) for name in ("face_to_face", "side_by_side")}

@@ -9,7 +9,7 @@ import pytest
 
 from humanpred_ros.errors import GoalUnreachableError, SceneError, SettingsError
 from humanpred_ros.geometry.solids import Box, Obstacle, planar_pose
-from humanpred_ros.robot.contacts import nearest_contacts
+from humanpred_ros.robot.clearance import nearest_contacts
 from humanpred_ros.robot.goals import Goal, ToolGoalSettings, tool_goal
 from humanpred_ros.robot.inverse_kinematics import ToolPose
 from humanpred_ros.robot.scene import load_scene

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,6 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from humanpred_ros.errors import GoalUnreachableError, SceneError, UsageError
 from humanpred_ros.geometry.solids import planar_pose
-from humanpred_ros.geometry.urdf import find_pr2_urdf
 from humanpred_ros.robot.pr2 import (
     LEFT_ARM_JOINTS,
     LEFT_ARM_RAD,
@@ -22,6 +23,7 @@ from humanpred_ros.robot.pr2 import (
     TOOL_FRAME,
     TORSO_LIFT_M,
     Pr2Arm,
+    find_pr2_urdf,
 )
 
 pytestmark = pytest.mark.core
@@ -159,7 +161,7 @@ def test_body_points_lie_on_the_surface_and_come_in_joint_order() -> None:
         apart = np.linalg.norm(own[:, None] - own, axis=2)[~np.eye(len(own), dtype=bool)]
         assert apart.min() >= 0.04 - 1e-6
     spheres = ARM.spheres()
-    depth = spheres.radius_m - np.linalg.norm(points.local_m[:, None] - spheres.centre_m, axis=2)
+    depth = spheres.radius_m - np.linalg.norm(points.local_m[:, None] - spheres.local_m, axis=2)
     assert np.where(points.link[:, None] == spheres.link, depth, -np.inf).max(axis=1).min() >= -1e-9
     # The fingertips are 0.199 m from the wrist, ahead of the tool frame.
     assert points.local_m[:, 0][points.link == 6].max() == pytest.approx(0.199, abs=0.005)
@@ -169,7 +171,7 @@ def test_body_points_lie_on_the_surface_and_come_in_joint_order() -> None:
 def test_points_and_spheres_are_the_same_for_every_placement() -> None:
     other = Pr2Arm(planar_pose(-3.0, 2.0, 0.0, 1.0), torso_lift_m=0.1)
     np.testing.assert_array_equal(other.body_points().local_m, ARM.body_points().local_m)
-    np.testing.assert_array_equal(other.spheres().centre_m, ARM.spheres().centre_m)
+    np.testing.assert_array_equal(other.spheres().local_m, ARM.spheres().local_m)
 
 
 def test_fixed_obstacles_cover_the_bodies_that_stand_still() -> None:
@@ -251,3 +253,18 @@ def test_impossible_robots_are_refused() -> None:
         Pr2Arm(np.eye(4), left_arm_rad=[0.0])
     with pytest.raises(UsageError, match="does not exist"):
         Pr2Arm(np.eye(4), urdf=URDF.parent / "missing.urdf")
+
+
+def test_urdf_is_found_below_a_ros_prefix_or_its_absence_explained(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    elsewhere = tmp_path / "share" / "example-robot-data" / "robots" / "pr2_description" / "urdf" / "pr2.urdf"
+    monkeypatch.setattr(sys, "path", [])
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / "empty"))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "")
+    with pytest.raises(UsageError, match="pip install example-robot-data"):
+        find_pr2_urdf()
+    elsewhere.parent.mkdir(parents=True)
+    elsewhere.write_text("<robot/>")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"/nowhere:{tmp_path}")
+    assert find_pr2_urdf() == elsewhere

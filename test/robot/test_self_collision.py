@@ -14,10 +14,8 @@ from collision_library import Transform, coal
 from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.chain import BodyBoxes
 from humanpred_ros.geometry.solids import Box, Obstacle, planar_pose
-from humanpred_ros.geometry.urdf import find_pr2_urdf
-from humanpred_ros.robot.clearance import nearest_approaches
-from humanpred_ros.robot.contacts import SelfCollision, nearest_contacts, shoulder_approach
-from humanpred_ros.robot.pr2 import LEFT_ARM_JOINTS, LEFT_ARM_RAD, RIGHT_ARM_JOINTS, TORSO_LIFT_M, Pr2Arm
+from humanpred_ros.robot.clearance import SelfCollision, nearest_approaches, nearest_contacts, shoulder_approach
+from humanpred_ros.robot.pr2 import LEFT_ARM_JOINTS, LEFT_ARM_RAD, RIGHT_ARM_JOINTS, TORSO_LIFT_M, Pr2Arm, find_pr2_urdf
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.robot.scene_file import scene_names
 
@@ -188,7 +186,7 @@ def test_configurations_of_another_shape_are_refused() -> None:
 
 
 def test_boxes_without_volume_are_refused() -> None:
-    with pytest.raises(ArrayError, match="lower < upper"):
+    with pytest.raises(ArrayError, match="half_m: wanted positive"):
         BodyBoxes(np.array([0]), np.zeros((1, 3)), np.array([[1.0, 0.0, 1.0]]))
     with pytest.raises(ArrayError, match="joint index"):
         BodyBoxes(np.array([-1]), np.zeros((1, 3)), np.ones((1, 3)))
@@ -211,7 +209,7 @@ def test_inner_boxes_fill_the_meshes_of_turret_shoulder_and_upper_arm() -> None:
         world = corners @ placed.oMg[k].rotation.T + placed.oMg[k].translation
         local = (world - poses[joint, :3, 3]) @ poses[joint, :3, :3]
         mine = boxes.link == joint
-        beyond = np.maximum(boxes.lower_m[mine] - local[:, None], local[:, None] - boxes.upper_m[mine]).max(axis=2)
+        beyond = (np.abs(local[:, None] - boxes.local_m[mine]) - boxes.half_m[mine]).max(axis=2)
         assert beyond.min(axis=1).max() <= 1e-9, model.frames[geometry.geometryObjects[k].parentFrame].name
         checked.add(joint)
     assert checked == {PAN, LIFT, UPPER_ARM}
