@@ -108,7 +108,7 @@ def find_start(
     Args:
         markers: the labels to give.
         detections_m: one frame, in a frame with z up; positions that are not finite are dropped.
-        shapes: the segments' shapes on this person (`marker_gaps.measure_shapes` of a labelled trial); the marker set's
+        shapes: the segments' shapes on this person (`measure_shapes` of a labelled trial); the marker set's
             if left out, which fits only markers put within the limit of where the set has them.
         limit_m: how far a marker may be from its place in the shape.
 
@@ -188,32 +188,49 @@ def _rank(match: ShapeMatch | None) -> tuple[int, float]:
     return (0, 0.0) if match is None else (match.count, -match.off_m)
 
 
-class MarkerLabeller:
-    """Labels a recording frame by frame; keeps the last places of the markers.
+def label_markers(
+    markers: MarkerSet,
+    detections_m: Sequence[ArrayLike],
+    t_s: ArrayLike,
+    start_m: ArrayLike,
+    shapes: Mapping[str, FloatArray] | None = None,
+    config: MarkerConfig | None = None,
+) -> FloatArray:
+    """Return labelled markers (T, M, 3), NaN where hidden, of T frames of detections (P, 3) in any order.
 
     Args:
         markers: the labels to give.
-        start_m: (M, 3) labelled markers of the first frame (`find_start` makes them), NaN where hidden.
-        t_s: that frame's stamp.
+        detections_m: the frames; detections with a coordinate that is not finite are dropped.
+        t_s: (T,) their stamps, rising.
+        start_m: (M, 3) where the markers are in the first frame (`find_start`, or a labelled frame), NaN where hidden.
         shapes: each segment's shape (see `find_start`); the first frames' if left out.
         config: what counts as the same marker.
 
     Raises:
         ArrayError: another shape.
-        MotionError: a segment of which the first frame shows too little.
+        MotionError: no frames, stamps that do not rise, or a segment of which the first frame shows too little.
     """
+    stamps = checked("t_s", t_s, (len(detections_m),))
+    if not len(stamps) or (np.diff(stamps) <= 0.0).any():
+        raise MotionError(f"marker labels: wanted at least one frame and rising stamps, got {len(stamps)} frames")
+    start = checked("start_m", start_m, (len(markers.names), 3), finite=False)
+    labeller = _Labeller(markers, start, shapes, config or MarkerConfig())
+    frames = [checked("detections_m", frame, ("P", 3), finite=False) for frame in detections_m]
+    labelled = [labeller.update(seen[seen_in(seen)], float(t)) for seen, t in zip(frames, stamps, strict=True)]
+    return np.stack(labelled)
+
+
+class _Labeller:
+    """Labels a recording frame by frame; keeps the last places of the markers. Arguments as of `label_markers`."""
 
     def __init__(
         self,
         markers: MarkerSet,
-        start_m: ArrayLike,
-        t_s: float,
-        shapes: Mapping[str, FloatArray] | None = None,
-        config: MarkerConfig | None = None,
+        start: FloatArray,
+        shapes: Mapping[str, FloatArray] | None,
+        config: MarkerConfig,
     ) -> None:
-        self.markers = markers
-        self.config = config or MarkerConfig()
-        start = checked("start_m", start_m, (len(markers.names), 3), finite=False)
+        self.markers, self.config = markers, config
         self._shapes = {**markers.shapes, **(shapes or {})}
         self._places = self._completed(start)
         self._learn = shapes is None
@@ -221,26 +238,16 @@ class MarkerLabeller:
             self._shapes = {segment: self._places[own].copy() for segment, own in markers.of_segment.items()}
         self._looks = dict.fromkeys(markers.of_segment, 1)
         self._step = np.zeros_like(self._places)
-        self._t_s = t_s
-        self._sighted_s = dict.fromkeys(markers.of_segment, t_s)
+        self._t_s = -np.inf
+        self._sighted_s = dict.fromkeys(markers.of_segment, -np.inf)
 
-    def update(self, detections_m: ArrayLike, t_s: float) -> FloatArray:
-        """Return the labelled markers (M, 3), NaN where hidden, of detections (P, 3) in any order at time `t_s`.
-
-        Detections with a coordinate that is not finite are dropped.
-
-        Raises:
-            ArrayError: another shape.
-            MotionError: a stamp that does not rise.
-        """
-        seen = checked("detections_m", detections_m, ("P", 3), finite=False)
-        seen = seen[seen_in(seen)]
-        if t_s <= self._t_s:
-            raise MotionError(f"marker labels: wanted rising stamps, got {t_s} s after {self._t_s} s")
+    def update(self, seen: FloatArray, t_s: float) -> FloatArray:
+        """Return the labelled markers (M, 3), NaN where hidden, of finite detections (P, 3) at time `t_s`."""
         self._t_s = t_s
         expected = self._places + self._step
         number = _match(expected, seen, self.config.farthest_m)
-        labelled = np.where(number[:, None] >= 0, seen[number] if len(seen) else np.nan, np.nan)
+        labelled = np.full_like(expected, np.nan)
+        labelled[number >= 0] = seen[number[number >= 0]]
         for segment, own in self.markers.of_segment.items():
             if not self._keeps_shape(segment, labelled[own]):
                 labelled[own], number[own] = np.nan, -1
@@ -341,34 +348,6 @@ class MarkerLabeller:
                     "hidden; start with a frame that shows at least three markers of each segment (one of the shoulder)"
                 )
         return places
-
-
-def label_markers(
-    markers: MarkerSet,
-    detections_m: Sequence[ArrayLike],
-    t_s: ArrayLike,
-    start_m: ArrayLike,
-    shapes: Mapping[str, FloatArray] | None = None,
-    config: MarkerConfig | None = None,
-) -> FloatArray:
-    """Return labelled markers (T, M, 3), NaN where hidden, of T frames of detections (P, 3) in any order.
-
-    Args:
-        markers: the labels to give.
-        detections_m: the frames.
-        t_s: (T,) their stamps, rising.
-        start_m: (M, 3) where the markers are in the first frame (`find_start`, or a labelled frame).
-        shapes: each segment's shape, as for `MarkerLabeller`.
-        config: what counts as the same marker.
-
-    Raises:
-        ArrayError, MotionError: as `MarkerLabeller`.
-    """
-    stamps = checked("t_s", t_s, (len(detections_m),))
-    if not len(stamps):
-        raise MotionError("marker labels: wanted at least one frame, got none")
-    labeller = MarkerLabeller(markers, start_m, -np.inf, shapes, config)
-    return np.stack([labeller.update(frame, float(t)) for frame, t in zip(detections_m, stamps, strict=True)])
 
 
 def _match(expected: FloatArray, seen: FloatArray, farthest_m: float) -> NDArray[np.int64]:

@@ -8,10 +8,9 @@ from joint_centres import joint_centres
 from paths import shared_data
 
 from humanpred_ros.errors import ArrayError, MotionError
-from humanpred_ros.human.marker_gaps import measure_shapes
-from humanpred_ros.human.marker_labels import MarkerLabeller, find_start, label_markers, match_shape
+from humanpred_ros.human.marker_labels import find_start, label_markers, match_shape
 from humanpred_ros.human.marker_set import UPPER_BODY, Marker, MarkerConfig, MarkerSet
-from humanpred_ros.human.marker_skeleton import MarkerSkeleton
+from humanpred_ros.human.marker_skeleton import MarkerSkeleton, measure_shapes
 
 skeleton = MarkerSkeleton(config=MarkerConfig(upright_pelvis=True))
 SET = skeleton.markers
@@ -182,17 +181,17 @@ def test_the_start_may_lack_markers_but_not_a_segment() -> None:
         label_markers(SET, points, t, start)
 
 
-def test_a_labeller_runs_frame_by_frame() -> None:
+def test_frames_that_cannot_be_labelled_are_refused() -> None:
     t, _, points = reach()
-    labeller = MarkerLabeller(SET, points[0], t[0])
-    for stamp, frame in zip(t[1:], points[1:], strict=True):
-        np.testing.assert_array_equal(labeller.update(frame[::-1], stamp), frame)
+    frames = [points[0][::-1], points[1][::-1], np.zeros((0, 3))]
+    labelled = label_markers(SET, frames, t[:3], points[0])
+    np.testing.assert_array_equal(labelled[:2], points[:2])
+    assert np.isnan(labelled[2]).all()
     with pytest.raises(MotionError, match="rising stamps"):
-        labeller.update(points[0], t[-1])
-    assert np.isnan(labeller.update(np.zeros((0, 3)), t[-1] + 0.01)).all()
+        label_markers(SET, frames, t[[0, 1, 1]], points[0])
     with pytest.raises(ArrayError, match="detections_m"):
-        labeller.update(np.zeros(3), t[-1] + 0.02)
+        label_markers(SET, [points[0], np.zeros(3)], t[:2], points[0])
     with pytest.raises(ArrayError, match="start_m"):
-        MarkerLabeller(SET, points[0, :5], 0.0)
+        label_markers(SET, frames, t[:3], points[0, :5])
     with pytest.raises(MotionError, match="at least one frame"):
         label_markers(MarkerSet(), [], [], points[0])
