@@ -27,7 +27,6 @@ from numpy.typing import ArrayLike, NDArray
 from humanpred_ros.errors import HumanModelError
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.human.rigid_fit import rotate_back, rotation
 from humanpred_ros.settings import Settings, setting
 
 #: Each skeleton point, in the order trackers deliver them, and the model's link whose origin it is.
@@ -288,3 +287,20 @@ def _shoulder_angles_of_elbow(upper: FloatArray, e: FloatArray) -> tuple[FloatAr
     sX = np.arctan2(e[:, 2], e[:, 1]) - np.arctan2(upper[:, 2], inward)
     sZ = np.arctan2(inward, e[:, 0]) - np.arctan2(upper[:, 1], upper[:, 0])
     return _wrapped(sX), _wrapped(sZ)
+
+
+def rotation(axis: str, angle: FloatArray) -> FloatArray:
+    """Return the right-handed rotations (T, 3, 3) by `angle` (T,) about the axis "x", "y" or "z"."""
+    i = "xyz".index(axis)
+    j, k = (i + 1) % 3, (i + 2) % 3
+    R = np.zeros((len(angle), 3, 3))
+    R[:, i, i] = 1.0
+    R[:, j, j] = R[:, k, k] = np.cos(angle)
+    R[:, k, j] = np.sin(angle)
+    R[:, j, k] = -R[:, k, j]
+    return R
+
+
+def rotate_back(R: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Return the vectors (T, 3) in the rotated frames R (T, 3, 3)."""
+    return np.asarray(np.einsum("tji,tj->ti", R, vectors))

@@ -22,8 +22,7 @@ from scipy.optimize import linear_sum_assignment
 
 from humanpred_ros.errors import MotionError
 from humanpred_ros.geometry.checks import FloatArray, checked
-from humanpred_ros.human.marker_set import MarkerConfig, MarkerSet
-from humanpred_ros.human.rigid_fit import is_spread, misfit_m, pairwise_m, place, seen_in
+from humanpred_ros.human.marker_set import MarkerConfig, MarkerSet, is_spread, misfit_m, pairwise_m, place, seen_in
 
 #: Segments that are upright whenever a person stands or sits, and how far (m) a shoulder is from the torso's centre.
 UPRIGHT = ("waist", "torso")

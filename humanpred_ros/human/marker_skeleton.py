@@ -17,9 +17,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from humanpred_ros.errors import HumanModelError, MotionError
 from humanpred_ros.geometry.checks import FloatArray, checked
-from humanpred_ros.human.marker_set import ANATOMICAL, LINK_OF_SEGMENT, MarkerConfig, MarkerSet
+from humanpred_ros.human.marker_set import (
+    ANATOMICAL,
+    LINK_OF_SEGMENT,
+    MarkerConfig,
+    MarkerSet,
+    groups_of,
+    is_spread,
+    mean_shape,
+    misfit_m,
+    pairwise_m,
+    place,
+    seen_in,
+)
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.human.rigid_fit import groups_of, is_spread, mean_shape, misfit_m, pairwise_m, place, seen_in
 from humanpred_ros.human.segment_angles import postures_of, segment_frames
 
 #: The DoFs of P2's human, in the order of its recordings' columns (docs/papers.md, P2 human).

@@ -28,7 +28,6 @@ from scipy.spatial.transform import Rotation
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.marker_set import MarkerSet
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.human.rigid_fit import rotate_back
 
 #: scipy's name of each sequence, and the signs that turn its angles into ours: r is y with the other sign.
 _SEQUENCES = {"xrz": ("XYZ", (1.0, -1.0, 1.0)), "zxz": ("ZXZ", (1.0, 1.0, 1.0)), "rxz": ("YXZ", (-1.0, 1.0, 1.0))}
@@ -88,7 +87,7 @@ def postures_of(frames: SegmentFrames, model: HumanModel, upright_pelvis: bool) 
         pelvis = joint_angles(R["waist"], "xrz") * (1.0, -1.0, 1.0)  # PelvisRotY turns about y, not about r
     R_pelvis = joint_rotation(pelvis * (1.0, -1.0, 1.0), "xrz")
     zero = model.forward(np.zeros(len(model.dof_names)))
-    across = rotate_back(R["torso"], centre["shoulder"] - centre["torso"])
+    across = np.einsum("tji,tj->ti", R["torso"], centre["shoulder"] - centre["torso"])
     columns = [
         centre["torso"] - R_pelvis @ (zero["torso"] - zero["pelvis"]),
         pelvis,

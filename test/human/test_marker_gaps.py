@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from humanpred_ros.errors import MotionError
-from humanpred_ros.human.marker_set import MarkerConfig, MarkerSet
+from humanpred_ros.human.marker_set import MarkerConfig, MarkerSet, pairwise_m
 from humanpred_ros.human.marker_skeleton import fill_markers, measure_shapes
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.human.rigid_fit import pairwise_m
 
 HUMAN, SET = HumanModel.mocap23(), MarkerSet()
 T_S = np.arange(60) * 0.01

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from humanpred_ros.human.rigid_fit import groups_of, is_spread, mean_shape, misfit_m, pairwise_m, place
+from humanpred_ros.human.marker_set import groups_of, is_spread, mean_shape, misfit_m, pairwise_m, place
 
 SHAPE = np.array([[0.0, -0.05, 0.0], [0.0, 0.05, 0.0], [-0.01, -0.05, 0.16], [-0.05, -0.01, 0.09]])
 
