@@ -150,7 +150,7 @@ def learn_bow(recordings: Sequence[ReachRecording], model: HumanModel) -> BowedL
     Raises:
         MotionError: nothing to learn from, or wrists that go nowhere.
     """
-    usable = [recording.active for recording in recordings if recording.usable_for_learning]
+    usable = [recording.active for recording in recordings if not recording.unfit]
     if not usable:
         raise MotionError("bow: wanted at least one recording fit for learning, got none")
     sizes = np.array([_wrist_way_m(model, motion.q[0], motion.q[-1]) ** 2.0 for motion in usable])

@@ -9,7 +9,7 @@ and kept; what cannot be used at all (wrong units, one person recorded as two) i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -105,11 +105,6 @@ class ReachRecording:
             return f"{self.name}: the reaching person's {mine[0]}{more}"
         return None
 
-    @property
-    def usable_for_learning(self) -> bool:
-        """Whether it may be learned from."""
-        return self.unfit is None
-
 
 def load_reach_recordings(
     folder: str | Path, model: HumanModel | None = None, config: ReachRecordingConfig | None = None
@@ -153,25 +148,15 @@ def read_reach_recording(
 ) -> ReachRecording:
     """Return one recording; errors as `load_reach_recordings` has them."""
     config = config or ReachRecordingConfig()
-    tables = {
-        role: _read_person(f"recording {name}, {role}", path, model.dof_names)
-        for role, path in ((ACTIVE, active), (PASSIVE, passive))
-    }
-    stamps = {role: table[:, 0] for role, table in tables.items()}
-    if len(stamps[ACTIVE]) != len(stamps[PASSIVE]):
+    stamps: dict[str, FloatArray] = {}
+    raw: dict[str, Motion] = {}
+    for role, path in ((ACTIVE, active), (PASSIVE, passive)):
+        stamps[role], raw[role] = _read_person(f"recording {name}, {role}", path, model.dof_names)
+    if len(raw[ACTIVE]) != len(raw[PASSIVE]):
         raise MotionError(
-            f"recording {name}: wanted as many frames of both people, got {len(stamps[ACTIVE])} {ACTIVE} and "
-            f"{len(stamps[PASSIVE])} {PASSIVE}; cut both to the frames they share"
+            f"recording {name}: wanted as many frames of both people, got {len(raw[ACTIVE])} {ACTIVE} and "
+            f"{len(raw[PASSIVE])} {PASSIVE}; cut both to the frames they share"
         )
-    for role, table in tables.items():
-        check_units(f"recording {name}, {role}", table[:, 0], table[:, 1:], model.dof_names)
-    for role, t_s in stamps.items():
-        if (late := np.flatnonzero(np.diff(t_s) <= 0.0)).size:
-            k = int(late[0])
-            raise MotionError(
-                f"recording {name}, {role}: wanted increasing stamps, got {t_s[k]:.6f} s and then {t_s[k + 1]:.6f} s "
-                f"at frame {k + 1}; correct or remove the recording"
-            )
     apart = np.abs(stamps[ACTIVE] - stamps[PASSIVE])
     allowed = config.synchrony_s + 1e-9  # stamps are rounded
     if apart.max() > allowed:
@@ -183,9 +168,9 @@ def read_reach_recording(
     motions: dict[str, Motion] = {}
     notes: list[str] = []
     jumps: list[Jump] = []
-    for role, table in tables.items():
+    for role in (ACTIVE, PASSIVE):
         # Both get the active person's stamps: what differs is less than the clock's accuracy.
-        motion = _motion(f"recording {name}, {role}", stamps[ACTIVE], table[:, 1:], model.dof_names)
+        motion = replace(raw[role], t_s=raw[ACTIVE].t_s)
         smooth = unwrap_angles(motion)
         motions[role], turned = _first_turn(smooth)
         notes += [f"{role}: {text}" for text in (*_wraps(motion, smooth), *turned, *_gaps(motion, config))]
@@ -229,15 +214,22 @@ def find_jumps(
     return tuple(jumps[frame] for frame in sorted(jumps))
 
 
-def _read_person(where: str, path: Path, dof_names: Sequence[str]) -> FloatArray:
-    """Return the stamps and DoFs (T, 1 + D) of one person's file; further columns are not read."""
+def _read_person(where: str, path: Path, dof_names: tuple[str, ...]) -> tuple[FloatArray, Motion]:
+    """Return the stamps (T,) and the motion in one person's file; further columns are not read."""
     try:
         table = read_table(path, (TIME, *dof_names))
     except LibraryFormatError as trouble:
         raise LibraryFormatError(f"{where}: {trouble}") from trouble
     if len(table.rows) < 2:
         raise LibraryFormatError(f"{where}: {path}: wanted at least 2 frames, got 1; remove the recording")
-    return np.stack([table[column] for column in (TIME, *dof_names)], axis=1)
+    t_s, q = table[TIME], np.stack([table[name] for name in dof_names], axis=1)
+    check_units(where, t_s, q, dof_names)
+    try:
+        return t_s, Motion(t_s - t_s[0], q, dof_names, frame_id=FRAME_ID)
+    except MotionError as trouble:
+        raise MotionError(
+            f"{where}: {str(trouble).removeprefix('-/0: ')}; correct or remove the recording"
+        ) from trouble
 
 
 def _isolated(speed: FloatArray, limit: float, config: ReachRecordingConfig) -> list[tuple[int, int, float]]:
@@ -250,13 +242,6 @@ def _isolated(speed: FloatArray, limit: float, config: ReachRecordingConfig) -> 
             fastest = int(np.argmax(np.where(isolated, speed[k], 0.0)))
             found.append((int(k), fastest, float(speed[k, fastest])))
     return found
-
-
-def _motion(name: str, t_s: FloatArray, q: FloatArray, dof_names: tuple[str, ...]) -> Motion:
-    try:
-        return Motion(t_s - t_s[0], q, dof_names, frame_id=FRAME_ID)
-    except MotionError as trouble:
-        raise MotionError(f"{name}: {str(trouble).removeprefix('-/0: ')}; correct or remove the recording") from trouble
 
 
 def _first_turn(motion: Motion) -> tuple[Motion, list[str]]:

@@ -48,7 +48,7 @@ def test_recordings_are_read_by_name_with_the_numbers_of_the_files(folder: Path)
     np.testing.assert_array_equal(found[1].active.q, active)
     np.testing.assert_array_equal(found[1].passive.q, passive)
     assert found[1].active.dof_names == MODEL.dof_names
-    assert all(entry.usable_for_learning and not entry.notes for entry in found)
+    assert all(not entry.unfit and not entry.notes for entry in found)
 
 
 def test_columns_may_stand_in_another_order(folder: Path) -> None:
@@ -67,7 +67,7 @@ def test_angles_that_wrap_are_unwrapped_and_noted(folder: Path) -> None:
     found = one(folder)
     np.testing.assert_allclose(found.active.q, active, atol=1e-12)
     assert any("rElbowY" in note and "40" in note for note in found.notes)
-    assert found.usable_for_learning
+    assert not found.unfit
 
 
 def test_angles_a_whole_turn_away_are_taken_for_what_they_are(folder: Path) -> None:
@@ -81,7 +81,7 @@ def test_angles_a_whole_turn_away_are_taken_for_what_they_are(folder: Path) -> N
         np.testing.assert_allclose(found.active.q, active, atol=1e-12)
         (note,) = found.notes
         assert note.startswith("active: PelvisRotZ begins at ")
-        assert found.usable_for_learning
+        assert not found.unfit
 
 
 @pytest.mark.parametrize("dof", ["rForeArmTrans", "rWristX"])
@@ -92,7 +92,7 @@ def test_a_jump_is_marked_kept_and_not_learned_from(folder: Path, dof: str) -> N
     rewrite(folder, "b", "active", q=jumping)
     found = one(folder)
     assert [(jump.role, jump.frame) for jump in found.jumps] == [("active", 70), ("active", 71)]
-    assert not found.usable_for_learning
+    assert found.unfit
     assert found.unfit is not None
     assert found.unfit.startswith("b: ")
     assert "frame 70" in found.unfit
@@ -107,7 +107,7 @@ def test_a_jump_of_the_partner_is_marked_only(folder: Path) -> None:
     rewrite(folder, "b", "passive", q=passive)
     found = one(folder)
     assert [(jump.role, jump.frame) for jump in found.jumps] == [("passive", 70)]
-    assert found.usable_for_learning
+    assert not found.unfit
 
 
 def test_a_hand_that_spins_for_one_frame_is_a_jump_though_no_link_moves(folder: Path) -> None:
@@ -119,7 +119,7 @@ def test_a_hand_that_spins_for_one_frame_is_a_jump_though_no_link_moves(folder: 
     assert [(jump.frame, jump.what, jump.unit) for jump in found.jumps] == [
         (70, "rWristY", "rad/s"), (71, "rWristY", "rad/s"),
     ]  # fmt: skip
-    assert not found.usable_for_learning
+    assert found.unfit
 
 
 def test_angles_that_flip_to_others_of_the_same_posture_are_a_jump(folder: Path) -> None:
@@ -135,7 +135,7 @@ def test_angles_that_flip_to_others_of_the_same_posture_are_a_jump(folder: Path)
     rewrite(folder, "b", "active", q=flipped)
     found = one(folder)
     assert {(jump.frame, jump.unit) for jump in found.jumps} == {(50, "rad/s")}
-    assert not found.usable_for_learning
+    assert found.unfit
 
 
 @pytest.mark.parametrize(("frame", "count"), [(1, 2), (50, 2), (99, 1)])
@@ -321,7 +321,7 @@ def test_the_papers_recordings_are_read_and_the_glitch_is_found() -> None:
     assert [entry.active.duration_s for entry in found] == pytest.approx(
         [1.40, 1.31, 0.99, 1.31, 0.90, 0.70, 1.11], abs=1e-3
     )
-    assert [entry.name for entry in found if not entry.usable_for_learning] == ["0444-0585"]
+    assert [entry.name for entry in found if entry.unfit] == ["0444-0585"]
     (jump,) = (jump for entry in found for jump in entry.jumps if jump.role == "active")
     assert (jump.frame, jump.what, jump.unit) == (130, "right_wrist", "m/s")
     assert jump.speed == pytest.approx(7.0, abs=0.1)

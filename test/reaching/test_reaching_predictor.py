@@ -241,7 +241,7 @@ def test_it_works_with_the_23_dof_human() -> None:
     human = HumanModel.mocap23()
     recordings = load_reach_recordings(shared_data("icra2015/demos"))
     tested = recordings[3].active
-    others = [r.active for k, r in enumerate(recordings) if k != 3 and r.usable_for_learning]
+    others = [r.active for k, r in enumerate(recordings) if k != 3 and not r.unfit]
     place = human.forward(tested.q[-1])[HAND]
     grid = VoxelGrid((0.8, 0.2, 0.2), 0.05, (36, 44, 36))
     places = {0: place, 1: place - [0.0, 0.5, -0.2]}
