@@ -32,8 +32,7 @@ from humanpred_ros.occupancy.swept_volume_predictor import SweptVolumePredictor,
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER
 from humanpred_ros.reaching.places import Places, ReachEnd, reach_ends, reaching_for
-from humanpred_ros.reaching.reach_knowledge import ReachKnowledge
-from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
+from humanpred_ros.reaching.reaching_predictor import ReachingPredictor, ReachKnowledge
 from humanpred_ros.recognition.classifier import Classifier, classifier_type
 from humanpred_ros.recognition.forest import ForestSettings
 from humanpred_ros.recognition.forest_classifier import ForestClassifier

@@ -29,7 +29,7 @@ from humanpred_ros.human.model import HumanModel, human_named, name_of_human
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.reaching.places import Places, reach_ends
-from humanpred_ros.reaching.reach_knowledge import ReachKnowledge
+from humanpred_ros.reaching.reaching_predictor import ReachKnowledge
 from humanpred_ros.recognition.training import TrainedModel, save_model, train_model
 from humanpred_ros.robot.scene import load_scene
 

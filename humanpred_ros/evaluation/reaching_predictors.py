@@ -18,11 +18,16 @@ from humanpred_ros.geometry.checks import FloatArray, frozen
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import ReachRecording
+from humanpred_ros.reaching.between_ends import PostureBounds, minimum_jerk, straight_line
 from humanpred_ros.reaching.features import NAMED_WEIGHTS
-from humanpred_ros.reaching.first_guess import minimum_jerk, straight_line
-from humanpred_ros.reaching.planner import ReachPlanner
-from humanpred_ros.reaching.posture_bounds import BoundsSettings, PostureBounds
-from humanpred_ros.reaching.prediction import STEP_S, PlannedPrediction, PredictsReaches, ReachTask, improved_planner
+from humanpred_ros.reaching.planner import (
+    STEP_S,
+    PlannedPrediction,
+    PredictsReaches,
+    ReachPlanner,
+    ReachTask,
+    improved_planner,
+)
 from humanpred_ros.reaching.surroundings import Surroundings
 
 WRIST = "right_wrist"
@@ -204,7 +209,7 @@ def _plan(name: str, step_s: float | None, material: ReachingMaterial, tested: s
         weights = learned.get(tested, learned[ALL])
     if name == "improved":
         return PlannedPrediction(improved_planner(known, model, weights, surroundings), step_s)
-    bounds = PostureBounds.from_recordings(known, model, BoundsSettings(relative=name == "learned_near"))
+    bounds = PostureBounds.from_recordings(known, model, relative=name == "learned_near")
     return PlannedPrediction(ReachPlanner(model, weights, bounds, surroundings), step_s)
 
 

@@ -40,8 +40,8 @@ from humanpred_ros.evaluation.reaching_weights import (
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
-from humanpred_ros.reaching.posture_bounds import PostureBounds
-from humanpred_ros.reaching.prediction import ReachTask
+from humanpred_ros.reaching.between_ends import PostureBounds
+from humanpred_ros.reaching.planner import ReachTask
 from humanpred_ros.reaching.surroundings import Surroundings
 from humanpred_ros.settings import setting
 

@@ -21,13 +21,12 @@ import numpy as np
 from humanpred_ros.geometry.checks import FloatArray, frozen
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
+from humanpred_ros.reaching.between_ends import PostureBounds, straight_line
 from humanpred_ros.reaching.demonstrations import Demonstration, demonstration, demonstrations
 from humanpred_ros.reaching.features import DISTANCE_NAMES, FEATURE_NAMES, N_SMOOTHNESS, NAMED_WEIGHTS, ReachFeatures
-from humanpred_ros.reaching.first_guess import straight_line
 from humanpred_ros.reaching.learner import LearningSettings, ReachLearner
 from humanpred_ros.reaching.piirl import Contrast, PiirlSettings, contrasts, learn_weights
 from humanpred_ros.reaching.planner import ReachPlanner, ReachPlannerSettings
-from humanpred_ros.reaching.posture_bounds import PostureBounds
 from humanpred_ros.reaching.surroundings import Surroundings
 from humanpred_ros.reaching.weights import ReachWeights
 
@@ -42,10 +41,10 @@ _AS_PUBLISHED = LearningSettings(keep_unfit=True)
 LEARNING: Mapping[str, LearningSettings] = MappingProxyType(
     {
         PUBLISHED: _AS_PUBLISHED,
-        ALONE: _AS_PUBLISHED.replaced(splitting=None),
+        ALONE: _AS_PUBLISHED.replaced(cut=False),
         IMPROVED: LearningSettings(
             piirl=PiirlSettings(normalised=True, with_demonstration=True, l2=0.1, without=DISTANCE_NAMES),
-            splitting=None,
+            cut=False,
         ),
     }
 )
@@ -271,7 +270,7 @@ def recover(
         for how, piirl in METHODS.items():
             weights = learn_weights(some, piirl).weights
             learned[how].append(more([planned(weights, number) for number in range(len(demos))]))
-    phase = np.linspace(0.0, 1.0, features.settings.n_waypoints)
+    phase = np.linspace(0.0, 1.0, features.n_waypoints)
     return {
         "learned": {how: np.array(shares) for how, shares in learned.items()},
         "best_sample": np.array(best),

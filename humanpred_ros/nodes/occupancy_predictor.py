@@ -34,8 +34,7 @@ from humanpred_ros.occupancy.predictor import (
 )
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR, settings_of
 from humanpred_ros.reaching.places import places_from_text, places_in_world
-from humanpred_ros.reaching.reach_knowledge import ReachKnowledge
-from humanpred_ros.reaching.reaching_predictor import ReachingPredictor, ReachingSettings
+from humanpred_ros.reaching.reaching_predictor import ReachingPredictor, ReachingSettings, ReachKnowledge
 from humanpred_ros.reaching.weights import reach_weights
 from humanpred_ros.recognition.training import TrainedModel, classifier_settings, load_model, train_model
 from humanpred_ros.resources import locate

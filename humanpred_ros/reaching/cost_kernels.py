@@ -181,34 +181,3 @@ def _along(a: NDArray[Any], b: NDArray[Any], share: Any, origin: NDArray[Any], p
         w[X + i] = (a[0, i] + share * (b[0, i] - a[0, i]) - origin[0]) * per_cell
         w[Y + i] = (a[1, i] + share * (b[1, i] - a[1, i]) - origin[1]) * per_cell
         w[Z + i] = (a[2, i] + share * (b[2, i] - a[2, i]) - origin[2]) * per_cell
-
-
-@fast
-def lower_to_capsules(
-    values: NDArray[Any],
-    origin: NDArray[Any],
-    resolution: Any,
-    ends: NDArray[Any],
-    radius: NDArray[Any],
-    cap: Any,
-) -> None:
-    """Lower the distances at the nodes of a lattice (nx, ny, nz) to those from capsules, up to `cap`."""
-    for k in range(len(radius)):
-        reach = radius[k] + cap
-        low, high = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
-        for a in range(3):
-            near, far = min(ends[k, 0, a], ends[k, 1, a]), max(ends[k, 0, a], ends[k, 1, a])
-            low[a] = max(0, int(np.floor((near - reach - origin[a]) / resolution)))
-            high[a] = min(values.shape[a], int(np.ceil((far + reach - origin[a]) / resolution)) + 1)
-        bx, by, bz = ends[k, 1, 0] - ends[k, 0, 0], ends[k, 1, 1] - ends[k, 0, 1], ends[k, 1, 2] - ends[k, 0, 2]
-        length2 = max(bx * bx + by * by + bz * bz, np.float32(1e-12))
-        for i in range(low[0], high[0]):
-            x = origin[0] + np.float32(i) * resolution - ends[k, 0, 0]
-            for j in range(low[1], high[1]):
-                y = origin[1] + np.float32(j) * resolution - ends[k, 0, 1]
-                row = values[i, j]
-                for m in range(low[2], high[2]):
-                    z = origin[2] + np.float32(m) * resolution - ends[k, 0, 2]
-                    s = min(max((x * bx + y * by + z * bz) / length2, _0), _1)
-                    u, v, w = x - s * bx, y - s * by, z - s * bz
-                    row[m] = min(row[m], np.sqrt(u * u + v * v + w * w) - radius[k])

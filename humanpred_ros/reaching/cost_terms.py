@@ -10,6 +10,7 @@ chooses the best trajectory. Here the learned weights apply everywhere.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,16 +19,20 @@ from numpy.typing import ArrayLike, NDArray
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.distance_field import SignedDistanceField
+from humanpred_ros.human.chain_points import ChainPoints
+from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching import cost_kernels as kernels
-from humanpred_ros.reaching.body import ReachBody
 from humanpred_ros.reaching.features import (
+    CLOSENESS_CUTOFF_M,
+    CLOSENESS_DECAY_PER_M,
+    CLOSENESS_HEIGHT,
     LINK_POINTS,
     N_FEATURES,
     N_SMOOTHNESS,
     SCALES,
-    FeatureSettings,
     ReachSituation,
 )
+from humanpred_ros.reaching.surroundings import BodyCapsules
 from humanpred_ros.stomp.costs import CostTerm
 
 Float32Array = NDArray[np.float32]
@@ -35,6 +40,58 @@ BoolArray = NDArray[np.bool_]
 #: P2's clearance and obstacle weight; its parameter files have 4 or 80 (docs/papers.md, "P2 scene").
 CLEARANCE_M = 0.05
 OBSTACLE_WEIGHT = 4.0
+
+#: Bodies that move with a reach: trunk and right arm. P2 leaves out the pelvis, whose joints come first.
+MOVING_BODIES = (
+    "torso", "shoulders", "right_upper_arm", "right_lower_upper_arm", "right_forearm", "right_lower_forearm",
+    "right_hand",
+)  # fmt: skip
+#: Spheres along a bone are at most this many radii apart.
+_SPACING = 1.0
+
+
+class ReachBody:
+    """The points of one human that costs look at: `LINK_POINTS`, and the ends of the capsules of trunk and arm.
+
+    All reaches of the human share it; immutable.
+
+    Attributes:
+        model: the human.
+        feature_points, all_points: (4,) rows of `LINK_POINTS` among the points without and with the body.
+        capsules: (C, 4) rows of both ends among the points, and the first and last + 1 of its spheres.
+        spheres: (S, 2) place along the bone, 0 to 1, and radius in metres.
+        radius_m: (C,) of the capsules, float32.
+    """
+
+    def __init__(self, model: HumanModel) -> None:
+        capsules = BodyCapsules.of(model, MOVING_BODIES)
+        links = [*LINK_POINTS, *(link for link in capsules.links for _ in range(2))]
+        local = np.concatenate([np.zeros((len(LINK_POINTS), 3)), capsules.ends_m.reshape(-1, 3)])
+        self.model = model
+        self._features, self.feature_points = _in_order(model, links[: len(LINK_POINTS)], local[: len(LINK_POINTS)])
+        self._all, number = _in_order(model, links, local)
+        self.all_points, ends = number[: len(LINK_POINTS)], number[len(LINK_POINTS) :].reshape(-1, 2)
+        rows: list[tuple[int, int, int, int]] = []
+        spheres: list[tuple[float, float]] = []
+        for (a, b), bone, radius in zip(ends, capsules.ends_m, capsules.radius_m, strict=True):
+            count = 1 + int(np.ceil(np.linalg.norm(bone[1] - bone[0]) / (_SPACING * radius) - 1e-9))
+            places = np.linspace(0.0, 1.0, count) if count > 1 else np.array([0.5])
+            rows.append((a, b, len(spheres), len(spheres) + count))
+            spheres += [(place, radius) for place in places]
+        self.capsules = np.array(rows, dtype=np.int64)
+        self.spheres = np.array(spheres, dtype=np.float32)
+        self.radius_m = capsules.radius_m.astype(np.float32)
+
+    def points(self, q: Float32Array, *, with_body: bool) -> Float32Array:
+        """Return the points (M, P, 3) of postures (M, J); without the body only those of the features."""
+        points: Float32Array = (self._all if with_body else self._features).positions(q)
+        return points
+
+
+def _in_order(model: HumanModel, links: Sequence[str], local_m: FloatArray) -> tuple[ChainPoints, NDArray[np.int64]]:
+    """Return points in the order of the chain, which is the fastest, and the row of each of the given ones."""
+    order = np.argsort(model.link_joint[[model.link_names.index(link) for link in links]], kind="stable")
+    return ChainPoints(model, [links[k] for k in order], local_m[order]), np.argsort(order)
 
 
 class PostureSmoothness(CostTerm):
@@ -90,7 +147,6 @@ class BodyCost(CostTerm):
         first: (J,) posture at the first waypoint.
         field: distances to table and partner; None for no obstacles.
         obstacle_weight, clearance_m: of the obstacles.
-        features: how the closeness is computed.
 
     Raises:
         PlanningError: arrays or numbers that do not fit.
@@ -106,7 +162,6 @@ class BodyCost(CostTerm):
         field: SignedDistanceField | None = None,
         obstacle_weight: float = OBSTACLE_WEIGHT,
         clearance_m: float = CLEARANCE_M,
-        features: FeatureSettings | None = None,
     ) -> None:
         super().__init__("body", 1.0, len(body.model.dof_names))
         w = checked("weights", weights, (N_FEATURES,), error=PlanningError)
@@ -123,7 +178,7 @@ class BodyCost(CostTerm):
         rows = body.all_points if self._with_body else body.feature_points
         smooth = _per_waypoint(w[4:N_SMOOTHNESS], SCALES[4:N_SMOOTHNESS], situation.duration_s, n_waypoints)
         self._wrist = (int(rows[wrist]) if smooth.any() else -1, _before(earlier), smooth)
-        self._partner = _closeness(w[N_SMOOTHNESS:], situation, n_waypoints, features or FeatureSettings(), rows)
+        self._partner = _closeness(w[N_SMOOTHNESS:], situation, n_waypoints, rows)
         self._obstacle = _obstacles(body, field if self._with_body else None, obstacle_weight, clearance_m)
         self._idle = not (smooth.any() or len(self._partner[1]) or self._with_body)
 
@@ -158,7 +213,6 @@ def _closeness(
     weights: FloatArray,
     situation: ReachSituation,
     n_waypoints: int,
-    settings: FeatureSettings,
     rows: NDArray[np.int64],
 ) -> tuple[Any, ...]:
     """Return the pairs of points that have a weight and all else that `body_costs` wants of the partner."""
@@ -168,9 +222,9 @@ def _closeness(
     used = np.flatnonzero(weights)
     count = len(LINK_POINTS)
     pairs = np.stack([rows[used // count], used % count], axis=1)
-    factors = (settings.closeness_height * dt_s * weights[used]).astype(np.float32)
-    decay = np.float32(np.log(settings.closeness_base) / settings.closeness_range_m)
-    return pairs, factors, situation.partner_m.astype(np.float32), decay, np.float32(settings.closeness_cutoff_m)
+    factors = (CLOSENESS_HEIGHT * dt_s * weights[used]).astype(np.float32)
+    decay, cutoff = np.float32(CLOSENESS_DECAY_PER_M), np.float32(CLOSENESS_CUTOFF_M)
+    return pairs, factors, situation.partner_m.astype(np.float32), decay, cutoff
 
 
 def _obstacles(

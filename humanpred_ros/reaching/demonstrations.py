@@ -16,24 +16,19 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import cholesky_banded
+from scipy.linalg.lapack import dtbtrs
 
 from humanpred_ros.errors import MotionError
 from humanpred_ros.geometry.checks import FloatArray, frozen
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import ACTIVE, ReachRecording
 from humanpred_ros.reaching.collisions import SampleCollisions
-from humanpred_ros.reaching.feature_kernels import REACH
-from humanpred_ros.reaching.features import PADDING, RULES, ReachFeatures, ReachSituation
-from humanpred_ros.reaching.learning_kernels import solve_upper
+from humanpred_ros.reaching.features import PADDING, REACH, RULES, ReachFeatures, ReachSituation
 from humanpred_ros.settings import Settings, setting
 
-
-class CutSettings(Settings):
-    """Where reaches are cut; the defaults give P2's 27 cuts of its seven reaches (docs/papers.md, "P2 learning")."""
-
-    first_s: float = setting(0.01, "Time of the first cut; as published, one frame at 100 Hz", unit="s", low=1e-6)
-    every_s: float = setting(0.10, "Time between cuts", unit="s", low=1e-6)
-    least_s: float = setting(0.80, "A cut that leaves less than this is not made", unit="s", low=1e-6)
+#: Where reaches are cut, which gives P2's 27 cuts of its seven reaches (docs/papers.md, "P2 learning"): time of the
+#: first cut (as published, one frame at 100 Hz), time between cuts, and what a cut must leave.
+_FIRST_S, _EVERY_S, _LEAST_S = 0.01, 0.10, 0.80
 
 
 class SamplingSettings(Settings):
@@ -81,7 +76,7 @@ def demonstration(recording: ReachRecording, features: ReachFeatures, first_fram
         HumanModelError: a recording of another human.
     """
     features.model.check_dofs(recording.active.dof_names)
-    active, N = recording.active, features.settings.n_waypoints
+    active, N = recording.active, features.n_waypoints
     if not 0 <= first_frame <= len(active) - 2:
         raise MotionError(f"{recording.name}: wanted a cut at frame 0 to {len(active) - 2}, got {first_frame}")
     begin_s, end_s = float(active.t_s[first_frame]), float(active.t_s[-1])
@@ -95,32 +90,31 @@ def demonstration(recording: ReachRecording, features: ReachFeatures, first_fram
     return Demonstration(recording.name, first_frame, q, situation, partner)  # type: ignore[arg-type]
 
 
-def cut_frames(motion: Motion, settings: CutSettings | None = None) -> list[int]:
+def cut_frames(motion: Motion) -> list[int]:
     """Return the frames at which a reach is cut, ascending; none if it is too short."""
-    s = settings or CutSettings()
-    first, every, least = (max(1, round(span / motion.period_s)) for span in (s.first_s, s.every_s, s.least_s))
+    first, every, least = (max(1, round(span / motion.period_s)) for span in (_FIRST_S, _EVERY_S, _LEAST_S))
     return list(range(first, len(motion) - least + 1, every))
 
 
 def demonstrations(
     recordings: Sequence[ReachRecording],
     features: ReachFeatures,
-    cuts: CutSettings | None = None,
     *,
+    cut: bool = False,
     keep_unfit: bool = False,
 ) -> tuple[Demonstration, ...]:
-    """Return what can be learned from recordings: every reach and, if `cuts` are given, its later parts.
+    """Return what can be learned from recordings: every reach and, if they are cut, its later parts.
 
     Args:
         recordings: some.
-        features: settings of the resampling, and the human.
-        cuts: where to cut; None for whole reaches only.
+        features: number of waypoints, and the human.
+        cut: whether later parts are learned from, too.
         keep_unfit: also learn from recordings with jumps. Without it only the parts after the jump are used.
             Recordings shorter than the jerk's difference are always left out.
     """
     found = []
     for recording in recordings:
-        for frame in (0, *(cut_frames(recording.active, cuts) if cuts else ())):
+        for frame in (0, *(cut_frames(recording.active) if cut else ())):
             if len(recording.active) - frame < recording.least_frames:
                 continue
             demo = demonstration(recording, features, frame)
@@ -143,26 +137,13 @@ def _has_no_jump(recording: ReachRecording, demo: Demonstration) -> bool:
     return not any(jump.role == ACTIVE and t_s[jump.frame] >= seen_s for jump in recording.jumps)
 
 
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """Variations of one demonstration.
-
-    Attributes:
-        q: (K, N, J) postures; none of them collides.
-        collided: how many more were drawn that do.
-    """
-
-    q: FloatArray
-    collided: int
-
-
 def sample_around(
     demo: Demonstration,
     settings: SamplingSettings,
     rng: np.random.Generator,
     collisions: SampleCollisions | None = None,
-) -> Samples:
-    """Return n_samples variations of a demonstration; colliding ones are discarded and replaced by new ones.
+) -> tuple[FloatArray, int]:
+    """Return n_samples variations (K, N, J) of a demonstration, none of which collides, and how many more did.
 
     If some are still missing after the last attempt, fewer are returned. (The authors' code then keeps colliding ones.)
 
@@ -188,7 +169,7 @@ def sample_around(
             f"{settings.n_samples} do, most with {collisions.most_frequent(samples)}; check where table and objects "
             f"stand, leave the recording out, or lower the deviation {settings.deviation}"
         )
-    return Samples(np.concatenate(kept), collided)
+    return np.concatenate(kept), collided
 
 
 def smooth_noise(rng: np.random.Generator, n_reaches: int, n_waypoints: int, n_dofs: int) -> FloatArray:
@@ -198,9 +179,8 @@ def smooth_noise(rng: np.random.Generator, n_reaches: int, n_waypoints: int, n_d
         MotionError: fewer waypoints than the rule looks at.
     """
     white = rng.standard_normal((n_waypoints, n_reaches * n_dofs))
-    drawn = np.empty((n_reaches, n_waypoints, n_dofs))
-    solve_upper(_cholesky(n_waypoints), white, drawn)  # x = U^-1 z with R = U'U
-    return drawn
+    drawn, _ = dtbtrs(_cholesky(n_waypoints), white)  # x = U^-1 z with R = U'U
+    return np.ascontiguousarray(drawn.reshape(n_waypoints, n_reaches, n_dofs).swapaxes(0, 1))
 
 
 @lru_cache(maxsize=16)

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,7 +21,6 @@ from humanpred_ros.errors import HumanModelError, MotionError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.human.chain_points import ChainPoints
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.settings import Settings, setting
 
 HAND, BODY, TRUNK_END = "right_palm", "pelvis", "neck"
 #: The start is the median of so many first postures.
@@ -32,27 +30,17 @@ _LEAST_M, _LEAST_RAD = 0.02, 0.1
 _STEP_SHARES = (1.0, 0.5, 0.25, 0.125)
 #: In units of a squared standard deviation.
 _CONVERGED = 1e-3
-
-
-class EndPosturesSettings(Settings):
-    """How end postures are learned and corrected.
-
-    Half or double of any number changes the error on either of P1's libraries by less than 10 %, except twice the
-    bend_m, which makes the function nearly linear: then the error on library_a, where people lean for far places only,
-    grows by 39 %.
-    """
-
-    slope_m: float = setting(
-        0.3, "Distance of two places at which the linear part of the function differs by its unit", unit="m", low=1e-6
-    )
-    bend_m: float = setting(
-        0.5, "Distance of two places over which the part of the function that bends is alike", unit="m", low=1e-6
-    )
-    noise: float = setting(0.2, "Variance of what people do, relative to that of the function", low=1e-9)
-    place_m: float = setting(
-        0.03, "Standard deviation of the hand about its place in each direction", unit="m", low=1e-6
-    )
-    n_iterations: int = setting(20, "Iterations of the correction at most; most converge in three to five", low=1)
+#: Half or double of any of the following changes the error on either of P1's libraries by less than 10 %, except twice
+#: the bend, which makes the function nearly linear: then the error on library_a, where people lean for far places only,
+#: grows by 39 %. Distances of two places at which the linear part of the function differs by its unit, and over which
+#: the part that bends is alike:
+_SLOPE_M, _BEND_M = 0.3, 0.5
+#: Variance of what people do, relative to that of the function.
+_NOISE = 0.2
+#: Standard deviation of the hand about its place in each direction.
+_PLACE_M = 0.03
+#: Iterations of the correction at most; most converge in three to five.
+_ITERATIONS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,51 +58,60 @@ class EndPosture:
     miss_m: float
 
 
-@dataclass(frozen=True, eq=False)
 class EndPostures:
     """Maps start posture and place to the end posture: a Gaussian process, the sum of a linear and a bending part.
 
     Attributes:
         human: whose postures they are.
         seen: (N, 6) of each reach learned from, as seen from the body: the place, and where the hand was at the start.
-        outcome: (N, D) end minus start of the trunk's DoFs, the pelvis as seen from the body; the end of the arm's.
-        settings: how end postures are learned.
-
-    Raises:
-        MotionError: arrays that do not fit each other, or nothing learned from.
-        HumanModelError: a human that lacks a hand or a neck, or whose first DoFs do not shift the pelvis.
     """
 
-    human: HumanModel
-    seen: FloatArray
-    outcome: FloatArray
-    settings: EndPosturesSettings
+    def __init__(self, human: HumanModel, seen: ArrayLike, outcome: ArrayLike) -> None:
+        """Learn from what was seen of reaches, and their outcome.
 
-    def __post_init__(self) -> None:
-        seen = checked("end postures: seen", self.seen, ("N", 6), error=MotionError)
-        outcome = checked("end postures: outcome", self.outcome, (len(seen), self._n_dofs), error=MotionError)
-        if not len(seen):
+        Args:
+            human: whose postures they are.
+            seen: (N, 6), see above.
+            outcome: (N, D) end minus start of the trunk's DoFs, the pelvis as seen from the body; the end of the arm's.
+
+        Raises:
+            MotionError: arrays that do not fit each other, or nothing learned from.
+            HumanModelError: a human that lacks a hand or a neck, or whose first DoFs do not shift the pelvis.
+        """
+        D = len(human.dof_names)
+        self.human = human
+        self.seen: FloatArray = frozen(checked("end postures: seen", seen, ("N", 6), error=MotionError))  # type: ignore[assignment]
+        known = checked("end postures: outcome", outcome, (len(self.seen), D), error=MotionError)
+        if not len(self.seen):
             raise MotionError("end postures: wanted at least one reach to learn from, got none")
-        object.__setattr__(self, "seen", frozen(seen))
-        object.__setattr__(self, "outcome", frozen(outcome))
-        missing = {HAND, BODY, TRUNK_END} - set(self.human.link_names)
-        moves = self.human.joints.axis[:3] * self.human.joints.slides[:3, None]
+        missing = {HAND, BODY, TRUNK_END} - set(human.link_names)
+        moves = human.joints.axis[:3] * human.joints.slides[:3, None]
         if missing or not np.array_equal(moves, np.eye(3)):
             raise HumanModelError(
-                f"end postures of {self.human.name}: wanted links {HAND}, {BODY} and {TRUNK_END}, and first DoFs "
+                f"end postures of {human.name}: wanted links {HAND}, {BODY} and {TRUNK_END}, and first DoFs "
                 f"that shift the pelvis along x, y, z; got a model without {', '.join(sorted(missing)) or 'such DoFs'}"
             )
+        self._hand = ChainPoints(human, [HAND])
+        self._centre = self.seen.mean(axis=0)
+        self._mean_outcome = known.mean(axis=0)
+        K = self._kernel(self.seen, self.seen)
+        self._inverse = np.asarray(np.linalg.inv(K + _NOISE * np.eye(len(K))), dtype=np.float64)
+        self._weights = self._inverse @ (known - self._mean_outcome)
+        #: Mean variance with which a reach is predicted that was left out, in units of the bend's.
+        self._mean_variance = float((1.0 / np.diag(self._inverse)).mean())
+        left_out = self._weights / np.diag(self._inverse)[:, None]
+        #: (D, D) covariance of the leave-one-out errors.
+        self._covariance = shrunk_covariance(left_out)
+        least = np.where(human.joints.slides, _LEAST_M, _LEAST_RAD) ** 2
+        self._covariance += np.diag(np.maximum(least - np.diag(self._covariance), 0.0))
 
     @classmethod
-    def learn(
-        cls, postures: Sequence[ArrayLike], human: HumanModel, settings: EndPosturesSettings | None = None
-    ) -> EndPostures:
+    def learn(cls, postures: Sequence[ArrayLike], human: HumanModel) -> EndPostures:
         """Learn from reaches (T, D) each, whose ends are taken to be where the hand is farthest from its start.
 
         Raises:
             MotionError: no reaches, or postures of another human.
         """
-        settings = settings or EndPosturesSettings()
         seen: list[FloatArray] = []
         outcome: list[FloatArray] = []
         arm = _arm(human)
@@ -130,8 +127,7 @@ class EndPostures:
             row[:3] = row[:3] @ T[:3, :3]
             row[arm] = _near(human, end, outcome[0] if outcome else end)[arm]
             outcome.append(row)
-        n, D = len(seen), len(human.dof_names)
-        return cls(human, np.array(seen).reshape(n, 6), np.array(outcome).reshape(n, D), settings)
+        return cls(human, np.reshape(seen, (-1, 6)), np.reshape(outcome, (-1, len(human.dof_names))))
 
     def at(self, start: ArrayLike, place_m: ArrayLike) -> EndPosture:
         """Return the end posture of a reach from a posture (D,) to a place (3,) in the tracker's frame.
@@ -139,7 +135,7 @@ class EndPostures:
         Raises:
             MotionError: arrays of other shapes or not finite.
         """
-        q = checked("start posture", start, (self._n_dofs,), error=MotionError)
+        q = checked("start posture", start, (len(self.human.dof_names),), error=MotionError)
         place = checked("place", place_m, (3,), error=MotionError)
         T = standing(self.human, q)
         hand = self.human.forward(q)[HAND]
@@ -151,8 +147,8 @@ class EndPostures:
         end[trunk] += q[trunk]
         end = _near(self.human, end, q)
         # Farther from the reaches seen the process is less certain: its variance, relative to the mean one.
-        unsure = float((self._kernel(x, x) - k @ self._inverse @ k.T)[0, 0]) + self.settings.noise
-        turned = np.eye(self._n_dofs)
+        unsure = float((self._kernel(x, x) - k @ self._inverse @ k.T)[0, 0]) + _NOISE
+        turned = np.eye(len(self.human.dof_names))
         turned[:3, :3] = T[:3, :3]
         prior = turned @ self._covariance @ turned.T * (unsure / self._mean_variance)
         return self._touching(end, prior, place, *_limits(self.human, q))
@@ -165,16 +161,16 @@ class EndPostures:
         self, mean: FloatArray, covariance: FloatArray, place: FloatArray, lower: FloatArray, upper: FloatArray
     ) -> EndPosture:
         """Return the Gaussian given that the hand is at the place: Gauss-Newton, as an iterated Kalman filter."""
-        noise = self.settings.place_m**2 * np.eye(3)
+        noise = _PLACE_M**2 * np.eye(3)
         inverse = np.linalg.inv(covariance)
 
         def cost(q: FloatArray) -> float:
             away, miss = q - mean, place - self._hand_at(q)
-            return float(away @ inverse @ away + miss @ miss / self.settings.place_m**2)
+            return float(away @ inverse @ away + miss @ miss / _PLACE_M**2)
 
         q = np.clip(mean, lower, upper)
         before = cost(q)
-        for _ in range(self.settings.n_iterations):
+        for _ in range(_ITERATIONS):
             J = self._jacobian(q)
             gain = covariance @ J.T @ np.linalg.inv(J @ covariance @ J.T + noise)
             aim = mean + gain @ (place - self._hand_at(q) - J @ (mean - q))
@@ -205,51 +201,20 @@ class EndPostures:
         """Return the covariance (A, B) of the function at a (A, 6) and b (B, 6), in units of the bend's."""
         x, y = a - self._centre, b - self._centre
         square = ((x[:, None] - y) ** 2).sum(axis=2)
-        k: FloatArray = 1.0 + x @ y.T / self.settings.slope_m**2 + np.exp(-0.5 * square / self.settings.bend_m**2)
+        k: FloatArray = 1.0 + x @ y.T / _SLOPE_M**2 + np.exp(-0.5 * square / _BEND_M**2)
         return k
 
-    @property
-    def _n_dofs(self) -> int:
-        return len(self.human.dof_names)
 
-    @cached_property
-    def _hand(self) -> ChainPoints:
-        return ChainPoints(self.human, [HAND])
+def shrunk_covariance(deviations: FloatArray, noise: float = 0.0) -> FloatArray:
+    """Return the covariance (D, D) of deviations (n, D) from zero, shrunk towards its diagonal, as reaches are few.
 
-    @cached_property
-    def _centre(self) -> FloatArray:
-        return np.asarray(self.seen.mean(axis=0))
-
-    @cached_property
-    def _mean_outcome(self) -> FloatArray:
-        return np.asarray(self.outcome.mean(axis=0))
-
-    @cached_property
-    def _inverse(self) -> FloatArray:
-        K = self._kernel(self.seen, self.seen)
-        return np.asarray(np.linalg.inv(K + self.settings.noise * np.eye(len(K))), dtype=np.float64)
-
-    @cached_property
-    def _weights(self) -> FloatArray:
-        return self._inverse @ (self.outcome - self._mean_outcome)
-
-    @cached_property
-    def _mean_variance(self) -> float:
-        """Mean variance with which a reach is predicted that was left out, in units of the bend's."""
-        return float((1.0 / np.diag(self._inverse)).mean())
-
-    @cached_property
-    def _covariance(self) -> FloatArray:
-        """Covariance (D, D) of the leave-one-out errors, shrunk towards its diagonal, as reaches are few."""
-        left_out = self._weights / np.diag(self._inverse)[:, None]
-        n, D = left_out.shape
-        S = left_out.T @ left_out / n
-        share = D / (D + n)
-        drawn: FloatArray = (1.0 - share) * S + np.diag(share * np.diag(S))
-        slides = self.human.joints.slides
-        least = np.where(slides, _LEAST_M, _LEAST_RAD) ** 2
-        drawn += np.diag(np.maximum(least - np.diag(drawn), 0.0))
-        return drawn
+    `noise` is one more variance of each.
+    """
+    n, D = deviations.shape
+    S = deviations.T @ deviations / n
+    share = D / (D + n)
+    shrunk: FloatArray = (1.0 - share) * S + np.diag(share * np.diag(S) + noise)
+    return shrunk
 
 
 def start_and_end(q: FloatArray, human: HumanModel) -> tuple[FloatArray, FloatArray]:

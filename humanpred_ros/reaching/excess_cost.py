@@ -2,8 +2,7 @@
 
 P2 explains a reach by a cost that it keeps low. Then a place is improbable if the reach would have been much cheaper
 with that place as its end, which is what makes a motion legible (Dragan and Srinivasa 2013). The reaches of P2's cost
-are
-smooth and nearly straight, so what a reach spends in excess can be measured on the hand, without planning:
+are smooth and nearly straight, so what a reach spends in excess can be measured on the hand, without planning:
 
 - detour: how much longer the way to the place by here is than the straight one,
 - aside: how far the hand is beside the straight way,
@@ -18,18 +17,16 @@ room, the direction in it and a person's speed have no influence, except through
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.compiled import exact
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.reaching.end_postures import EndPostures
-from humanpred_ros.reaching.hand_outliers import OUTLIER, RECOVERED, RESTARTED, HandHistory, judge
 from humanpred_ros.recognition.reach_features import (
     FAR,
     HEADINGS,
@@ -72,122 +69,134 @@ _NEAR_M = 0.05
 N_ALONG = 13
 _N_POINTS = len(POINTS)
 _SHARES = np.linspace(0.0, 1.0, N_ALONG)[:, None]
+#: No reaching hand is faster, m/s: ISO 13855 counts with 2 m/s at most when hands approach a machine, and 0.6 m in
+#: 0.3 s, as fast as people can, has a peak of 3.75 m/s (minimum jerk: 1.875 times the mean).
+FASTEST_M_S = 4.0
+#: A tracked hand may be off by this much more from one frame to the next, metres: a palm's width.
+OFF_M = 0.1
+#: A lost hand is steady when this many postures in a row can each follow the one before. Three of a hand that jumps
+#: about at random often can.
+N_STEADY = 5
+
+#: What a posture is: left out, a part of the reach, the first accepted after a loss, the first of a new reach.
+OUTLIER, PART, RECOVERED, RESTARTED = 0, 1, 2, 3
 
 
-class HandState(NamedTuple):
-    """What is remembered of the reach under way: a fixed amount, however long it lasts."""
+class LostHand:
+    """Finds postures that show the hand where it cannot be, because the tracker lost the arm.
 
-    history: HandHistory
-    before: FloatArray  # (2, P, 3) points of the last two postures, outliers or not
-    reach: ReachState
-    features: FloatArray  # (N_FEATURES,) of `reach_features`
-    palm: FloatArray  # (3,) in the last posture accepted, a single lost frame ignored
-    velocity: FloatArray  # (3,) averaged, m/s
-    peak_m_s: FloatArray  # (1,) the highest speed so far
-    last_s: FloatArray  # (1,) stamp of the last posture accepted
-
-    @classmethod
-    def fresh(cls) -> HandState:
-        """Return the state before the first posture."""
-        reach, features = ReachState.fresh(), np.zeros(N_FEATURES)
-        before = np.zeros_like(reach.recent)
-        return cls(HandHistory.fresh(), before, reach, features, np.zeros(3), np.zeros(3), np.zeros(1), np.zeros(1))
-
-
-@exact
-def observe(state: HandState, points: FloatArray, t_s: float, row: FloatArray) -> int:
-    """Take the points (P, 3) of one posture: changes `state` in place and fills `row` (N_COLUMNS,).
-
-    Returns what `hand_outliers.judge` concludes: an OUTLIER leaves the row as it was; with RESTARTED the reach begins
-    here.
-
-    Args:
-        state: of the reach so far.
-        points: where the links of `reach_features.POINTS` are, tracker's frame.
-        t_s: stamp, later than the one before.
-        row: about the reach so far; the same array with every posture of a reach.
+    What is measured along the hand's path (the farthest point, the highest speed, whether it has turned back) never
+    forgets, so one false excursion would spoil the rest of the reach. A posture is an outlier if the hand would have to
+    be faster than hands are since the last posture that was accepted. Postures are accepted again once they are steady
+    and the hand can have got there by then. Because that gets easier with time, nothing wrong is held on to for ever;
+    and before the hand has gone anywhere, the reach simply begins anew where the hand is steady. So a hand that is
+    shown steadily in a wrong place is accepted if it stays there long enough.
     """
-    conclusion = judge(state.history, points[0], t_s, state.reach.reached_m[0] > _BEGUN_M)
-    if conclusion == RECOVERED:
-        # The median of three is then of postures since the loss.
-        for i in range(len(points)):
-            for a in range(3):
-                state.reach.recent[0, i, a], state.reach.recent[1, i, a] = state.before[0, i, a], state.before[1, i, a]
-    for i in range(len(points)):
-        for a in range(3):
-            state.before[1, i, a], state.before[0, i, a] = state.before[0, i, a], points[i, a]
-    if conclusion == OUTLIER:
+
+    def __init__(self) -> None:
+        self._n_steady = 0
+        #: Stamp and hand of the last posture accepted, and of the last posture.
+        self._accepted: tuple[float, FloatArray] | None = None
+        self._last: tuple[float, FloatArray] | None = None
+
+    def judge(self, hand: FloatArray, t_s: float, begun: bool) -> int:
+        """Judge the posture with the hand there (3,), tracker's frame, at a stamp later than the one before.
+
+        Args:
+            hand: where it is.
+            t_s: stamp.
+            begun: whether the hand has gone anywhere since the reach began.
+
+        Returns:
+            OUTLIER, PART or RECOVERED; RESTARTED only before the reach has begun.
+        """
+        conclusion, now = PART, (t_s, np.array(hand))
+        if self._accepted is not None and self._last is not None:
+            can_be = _can_follow(self._accepted, now)
+            if self._n_steady > 0 or not can_be:
+                if self._n_steady > 0 and not _can_follow(self._last, now):
+                    self._n_steady = 0
+                self._n_steady += 1
+                conclusion = OUTLIER
+                if self._n_steady >= N_STEADY and (can_be or not begun):
+                    conclusion = RECOVERED if can_be else RESTARTED
+        self._last = now
+        if conclusion != OUTLIER:
+            self._n_steady, self._accepted = 0, now
         return conclusion
-    if conclusion == RESTARTED:
-        state.reach.n_seen[0] = 0
-        for a in range(3):
-            state.velocity[a] = 0.0
-        state.peak_m_s[0] = 0.0
-    first = state.reach.n_seen[0] == 0
-    features = state.features
-    advance(state.reach, points, features)
-    if not first and conclusion != RECOVERED:
-        step_s = t_s - state.last_s[0]
-        share = 1.0 - np.exp(-step_s / _VELOCITY_S)
-        for a in range(3):
-            state.velocity[a] += share * ((features[a] - state.palm[a]) / step_s - state.velocity[a])
-    for a in range(3):
-        state.palm[a] = features[a]
-    state.last_s[0] = t_s
-    vx, vy, vz = state.velocity[0], state.velocity[1], state.velocity[2]
-    speed = np.sqrt(vx * vx + vy * vy + vz * vz)
-    state.peak_m_s[0] = max(state.peak_m_s[0], speed)
 
-    reached = features[REACHED]
-    back = (reached - features[REACHED - 1] - _TURNED_M[0]) / (_TURNED_M[1] - _TURNED_M[0])
-    back = min(max(back, 0.0), 1.0)
-    slow = 0.0
-    if reached > _BEGUN_M:
-        slow = max(0.0, 1.0 - speed / max(state.peak_m_s[0], _LEAST_PEAK_M_S))
-    arrived = max(slow, back)
-    for i in range(START):
-        row[HAND + i] = features[i] + back * (features[FAR + i] - features[i])
-    for a in range(3):
-        row[START + a] = state.reach.start[a]
+
+def _can_follow(before: tuple[float, FloatArray], now: tuple[float, FloatArray]) -> bool:
+    return math.dist(before[1], now[1]) <= OFF_M + FASTEST_M_S * (now[0] - before[0])
+
+
+class HandFollower:
+    """Follows the hand of the reach under way; what it remembers is a fixed amount, however long the reach lasts.
+
+    Attributes:
+        row: (N_COLUMNS,) about the reach so far.
+        reach: state of `reach_features`.
+    """
+
+    def __init__(self) -> None:
+        self.row: FloatArray = np.zeros(N_COLUMNS)
+        self.reach = ReachState.fresh()
+        self._lost = LostHand()
+        self._before = np.zeros_like(self.reach.recent)  # points of the last two postures, outliers or not
+        self._features = np.zeros(N_FEATURES)
+        self._palm = np.zeros(3)  # in the last posture accepted, a single lost frame ignored
+        self._velocity = np.zeros(3)  # averaged, m/s
+        self._peak_m_s = 0.0  # the highest speed so far
+        self._last_s = 0.0  # stamp of the last posture accepted
+
+    def observe(self, points: FloatArray, t_s: float) -> int:
+        """Take the points (P, 3) of one posture and bring `row` up to date; return what `LostHand.judge` concludes.
+
+        An OUTLIER leaves the row as it was; with RESTARTED the reach begins here.
+
+        Args:
+            points: where the links of `reach_features.POINTS` are, tracker's frame.
+            t_s: stamp, later than the one before.
+        """
+        conclusion = self._lost.judge(points[0], t_s, bool(self.reach.reached_m[0] > _BEGUN_M))
+        if conclusion == RECOVERED:
+            # The median of three is then of postures since the loss.
+            self.reach.recent[:] = self._before
+        self._before[1], self._before[0] = self._before[0], points
+        if conclusion == OUTLIER:
+            return conclusion
+        if conclusion == RESTARTED:
+            self.reach.n_seen[0] = 0
+            self._velocity[:] = 0.0
+            self._peak_m_s = 0.0
+        first, features = self.reach.n_seen[0] == 0, self._features
+        advance(self.reach, points, features)
+        palm = features[:3].copy()
+        if not first and conclusion != RECOVERED:
+            step_s = t_s - self._last_s
+            share = 1.0 - math.exp(-step_s / _VELOCITY_S)
+            self._velocity += share * ((palm - self._palm) / step_s - self._velocity)
+        self._palm, self._last_s = palm, t_s
+        speed = float(np.sqrt((self._velocity**2).sum()))
+        self._peak_m_s = max(self._peak_m_s, speed)
+        self._describe(speed)
+        return conclusion
+
+    def _describe(self, speed: float) -> None:
+        """Fill the row."""
+        features, row = self._features, self.row
+        reached = features[REACHED]
+        back = (reached - features[REACHED - 1] - _TURNED_M[0]) / (_TURNED_M[1] - _TURNED_M[0])
+        back = min(max(back, 0.0), 1.0)
+        slow = max(0.0, 1.0 - speed / max(self._peak_m_s, _LEAST_PEAK_M_S)) if reached > _BEGUN_M else 0.0
+        arrived = max(slow, back)
+        row[HAND:START] = features[:FAR] + back * (features[FAR : 2 * FAR] - features[:FAR])
+        row[START:SHORT] = self.reach.start
         # A hand that has stopped has no heading, and one on its way back heads away from its place.
-        row[SHORT + a] = (1.0 - arrived) * features[HEADINGS + 3 * _SHORT_ROPE + a]
-        row[LONG + a] = (1.0 - arrived) * features[HEADINGS + 3 * _LONG_ROPE + a]
-    row[REACHED_M] = reached
-    row[ARRIVED] = arrived
-    return conclusion
-
-
-@exact
-def _excess(rows: FloatArray, places: FloatArray) -> FloatArray:
-    out = np.zeros((len(rows), len(places), N_PARTS))
-    for n in range(len(rows)):
-        row = rows[n]
-        for g in range(len(places)):
-            way = straight = ahead = gone = along = short = long = short_size = long_size = 0.0
-            for a in range(3):
-                to_place = places[g, a] - row[HAND + a]
-                from_start = row[HAND + a] - row[START + a]
-                whole = places[g, a] - row[START + a]
-                ahead += to_place * to_place
-                gone += from_start * from_start
-                straight += whole * whole
-                along += from_start * whole
-                short += row[SHORT + a] * to_place
-                long += row[LONG + a] * to_place
-                short_size += row[SHORT + a] ** 2
-                long_size += row[LONG + a] ** 2
-            ahead, straight = np.sqrt(ahead), np.sqrt(straight)
-            way = np.sqrt(gone) + ahead - straight
-            # A place at the start has no way to be beside of.
-            along = along / straight if straight > 1e-9 else 0.0
-            near = 1.0 / (ahead + _NEAR_M)
-            out[n, g, 0] = min(max(way, 0.0), MOST_M)
-            out[n, g, 1] = min(np.sqrt(max(gone - along * along, 0.0)), MOST_M)
-            out[n, g, 2] = min(max(along - straight, 0.0), MOST_M)
-            out[n, g, 3] = max(np.sqrt(short_size) * ahead - short, 0.0) * near
-            out[n, g, 4] = max(np.sqrt(long_size) * ahead - long, 0.0) * near
-            out[n, g, 5] = min(ahead, MOST_M) * row[ARRIVED]
-    return out
+        headings = features[HEADINGS:][: 3 * (_LONG_ROPE + 1)].reshape(-1, 3)
+        row[SHORT:LONG] = (1.0 - arrived) * headings[_SHORT_ROPE]
+        row[LONG:REACHED_M] = (1.0 - arrived) * headings[_LONG_ROPE]
+        row[REACHED_M], row[ARRIVED] = reached, arrived
 
 
 def excess_costs(rows: FloatArray, places_m: FloatArray, best: Sequence[FloatArray] | None = None) -> FloatArray:
@@ -201,13 +210,32 @@ def excess_costs(rows: FloatArray, places_m: FloatArray, best: Sequence[FloatArr
     Returns:
         (N, G, N_PARTS), none negative; all zero before the hand has moved.
     """
-    rows = np.ascontiguousarray(rows)
-    costs = _excess(rows, np.ascontiguousarray(places_m))
+    hand, start, short, long = (rows[:, None, first : first + 3] for first in (HAND, START, SHORT, LONG))
+    to_place, from_start, whole = places_m - hand, hand - start, places_m - start
+    ahead, straight, gone = (_length(way) for way in (to_place, whole, from_start))
+    # A place at the start has no way to be beside of.
+    along = _dot(from_start, whole) / np.where(straight > 1e-9, straight, np.inf)
+    near = 1.0 / (ahead + _NEAR_M)
+    costs = np.zeros((len(rows), len(places_m), N_PARTS))
+    costs[..., 0] = np.clip(gone + ahead - straight, 0.0, MOST_M)
+    costs[..., 1] = np.minimum(np.sqrt(np.maximum(_dot(from_start, from_start) - along * along, 0.0)), MOST_M)
+    costs[..., 2] = np.clip(along - straight, 0.0, MOST_M)
+    for part, heading in ((3, short), (4, long)):
+        costs[..., part] = np.maximum(_length(heading) * ahead - _dot(heading, to_place), 0.0) * near
+    costs[..., 5] = np.minimum(ahead, MOST_M) * rows[:, ARRIVED, None]
     if best is not None:
-        points = np.ascontiguousarray(rows[:, :START])
         for g, path in enumerate(best):
-            costs[:, g, BODY] = np.minimum(distances_from(path, points), MOST_M)
+            costs[:, g, BODY] = np.minimum(distances_from(path, rows[:, :START]), MOST_M)
     return costs
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    product: FloatArray = (a * b).sum(axis=-1)
+    return product
+
+
+def _length(a: FloatArray) -> FloatArray:
+    return np.sqrt(_dot(a, a))
 
 
 def best_reach(human: HumanModel, ends: EndPostures, start_q: FloatArray, place_m: FloatArray) -> FloatArray:
@@ -232,31 +260,16 @@ def best_reach(human: HumanModel, ends: EndPostures, start_q: FloatArray, place_
     return points
 
 
-@exact
 def distances_from(path: FloatArray, points: FloatArray) -> FloatArray:
     """Return the distances (N,), summed over four points (N, 12), from the nearest moment of a path (K, 12), metres."""
-    out = np.empty(len(points))
-    for n in range(len(points)):
-        nearest, found = np.inf, 0.0
-        for k in range(len(path) - 1):
-            size = ahead = 0.0
-            for i in range(3 * _N_POINTS):
-                step = path[k + 1, i] - path[k, i]
-                size += step * step
-                ahead += step * (points[n, i] - path[k, i])
-            share = min(max(ahead / size, 0.0), 1.0) if size > 0.0 else 0.0
-            squares = total = 0.0
-            for p in range(_N_POINTS):
-                square = 0.0
-                for i in range(3 * p, 3 * p + 3):
-                    away = points[n, i] - path[k, i] - share * (path[k + 1, i] - path[k, i])
-                    square += away * away
-                squares += square
-                total += np.sqrt(square)
-            if squares < nearest:
-                nearest, found = squares, total
-        out[n] = found
-    return out
+    steps, from_begin = np.diff(path, axis=0), points[:, None] - path[:-1]
+    size = (steps**2).sum(axis=1)
+    share = np.clip((steps * from_begin).sum(axis=2) / np.where(size > 0.0, size, np.inf), 0.0, 1.0)
+    away = (from_begin - share[..., None] * steps).reshape(*share.shape, _N_POINTS, 3)
+    squares = (away**2).sum(axis=-1)
+    nearest = squares.sum(axis=-1).argmin(axis=1)
+    found: FloatArray = np.sqrt(squares[np.arange(len(points)), nearest]).sum(axis=-1)
+    return found
 
 
 def reach_so_far(motion: Motion, human: HumanModel) -> FloatArray:
@@ -274,14 +287,14 @@ def farthest_palm(motion: Motion, human: HumanModel) -> FloatArray:
     return farthest
 
 
-def _followed(motion: Motion, human: HumanModel) -> tuple[FloatArray, HandState]:
+def _followed(motion: Motion, human: HumanModel) -> tuple[FloatArray, HandFollower]:
     human.check_dofs(motion.dof_names)
     points = np.ascontiguousarray(human.link_poses(motion.q)[:, point_links(human)][..., :3, 3])
-    state, rows, row = HandState.fresh(), np.empty((len(motion), N_COLUMNS)), np.zeros(N_COLUMNS)
-    for k, (posture, t_s) in enumerate(zip(points, motion.t_s.tolist(), strict=True)):
-        observe(state, posture, t_s, row)
-        rows[k] = row
-    return rows, state
+    hand, rows = HandFollower(), np.empty((len(motion), N_COLUMNS))
+    for k, t_s in enumerate(motion.t_s.tolist()):
+        hand.observe(points[k], t_s)
+        rows[k] = hand.row
+    return rows, hand
 
 
 def chosen_postures(n_frames: int, n: int) -> NDArray[np.intp]:

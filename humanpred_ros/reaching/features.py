@@ -13,14 +13,12 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.distance import cdist
 
-from humanpred_ros.errors import ArrayError, MotionError
+from humanpred_ros.errors import ArrayError, MotionError, SettingsError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.human.chain_points import ChainPoints
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.reaching import feature_kernels
-from humanpred_ros.reaching.feature_kernels import REACH
-from humanpred_ros.settings import Settings, setting
 
 #: Links whose distances to the partner's links are features, in this order (P2 III-A).
 LINK_POINTS = ("pelvis", "right_wrist", "right_elbow", "right_shoulder")
@@ -35,6 +33,8 @@ N_SMOOTHNESS, N_FEATURES = len(SMOOTHNESS_NAMES), len(FEATURE_NAMES)
 
 #: Factors of the features, as published; metres and radians count alike.
 SCALES: FloatArray = frozen(np.array([1e-1, 1e-5, 1e-10, 1e-15, 1e1, 1e-3, 1e-9, 1e-13, *([1.0] * 16)]))  # type: ignore[assignment]
+#: How many waypoints a difference rule looks to each side.
+REACH = 3
 #: First, second and third difference over offsets -3..+3, in units of the time step, (3, 7). As published; they are
 #: not centred.
 RULES = np.array(
@@ -44,6 +44,9 @@ RULES = np.array(
         [c / 12.0 for c in (0.0, 1.0, -17.0, 46.0, -46.0, 17.0, -1.0)],
     ]
 )
+_STEP = np.array([0.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0])
+#: Reaches whose differences are taken together, so that they stay in the cache.
+_TOGETHER = 16
 #: Postures kept of what came before a reach (P2: 6), more than the rules look back.
 PADDING = 6
 
@@ -73,16 +76,10 @@ NAMED_WEIGHTS: Mapping[str, FloatArray] = MappingProxyType(
         ),
     }
 )
-
-
-class FeatureSettings(Settings):
-    """How features are computed (docs/papers.md (2.2))."""
-
-    n_waypoints: int = setting(100, "Waypoints that a reach is resampled to, evenly in time", low=2 * REACH + 1)
-    closeness_height: float = setting(5.0, "Value of a distance feature's integrand at distance zero")
-    closeness_base: float = setting(6.0, "The integrand falls to one over this with every range", low=1.0)
-    closeness_range_m: float = setting(0.16, "Distance over which the integrand falls by its base", unit="m", low=1e-6)
-    closeness_cutoff_m: float = setting(0.80, "The integrand is zero from this distance on", unit="m", low=0.0)
+#: Waypoints that a reach is resampled to, evenly in time.
+N_WAYPOINTS = 100
+#: A distance feature's integrand (docs/papers.md (2.2)): at distance 0, its fall (to 1/6 with every 0.16 m), its end.
+CLOSENESS_HEIGHT, CLOSENESS_DECAY_PER_M, CLOSENESS_CUTOFF_M = 5.0, float(np.log(6.0)) / 0.16, 0.80
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,15 +114,17 @@ class ReachFeatures:
 
     Attributes:
         model: the reaching human: one chain of joints that carries `LINK_POINTS`.
-        settings: of the features.
+        n_waypoints: that a reach is resampled to.
 
     Raises:
         HumanModelError: another kind of model.
+        SettingsError: fewer waypoints than the difference rules look at.
     """
 
-    def __init__(self, model: HumanModel, settings: FeatureSettings | None = None) -> None:
-        self.model = model
-        self.settings = settings or FeatureSettings()
+    def __init__(self, model: HumanModel, n_waypoints: int = N_WAYPOINTS) -> None:
+        if n_waypoints <= 2 * REACH:
+            raise SettingsError(f"features: wanted n_waypoints of at least {2 * REACH + 1}, got {n_waypoints}")
+        self.model, self.n_waypoints = model, n_waypoints
         self._points = ChainPoints(model, LINK_POINTS)
         self._wrist = LINK_POINTS.index("right_wrist")
 
@@ -139,7 +138,7 @@ class ReachFeatures:
         Raises:
             ArrayError: reaches or a history of another shape, or values that are not finite.
         """
-        n, n_dofs = self.settings.n_waypoints, len(self.model.dof_names)
+        n, n_dofs = self.n_waypoints, len(self.model.dof_names)
         reaches = np.ascontiguousarray(checked("reaches", q, ("R", n, n_dofs)))
         before = np.zeros((0, n_dofs)) if situation.history is None else situation.history
         if before.shape[1] != n_dofs:
@@ -147,18 +146,10 @@ class ReachFeatures:
         points = self.link_points(reaches)
         wrist = np.ascontiguousarray(points[:, :, self._wrist])
         wrist_before = self.link_points(before)[:, self._wrist] if len(before) else np.zeros((0, 3))
-        values = np.empty((len(reaches), n, N_FEATURES))
-        signals = ((reaches, before), (wrist, np.ascontiguousarray(wrist_before)))
-        for first, (signal, earlier) in enumerate(signals):
-            part = np.empty((len(reaches), n, 4))
-            feature_kernels.differences(signal, earlier, RULES, part)
-            values[..., 4 * first : 4 * first + 4] = part
-        s, close = self.settings, np.empty((len(reaches) * n, N_FEATURES - N_SMOOTHNESS))
-        decay = float(np.log(s.closeness_base)) / s.closeness_range_m
-        feature_kernels.closeness(
-            points.reshape(-1, 4, 3), situation.partner_m, s.closeness_height, decay, s.closeness_cutoff_m, close
-        )
-        values[..., N_SMOOTHNESS:] = close.reshape(len(reaches), n, -1)
+        away = cdist(points.reshape(-1, 3), situation.partner_m)
+        close = np.where(away < CLOSENESS_CUTOFF_M, CLOSENESS_HEIGHT * np.exp(-CLOSENESS_DECAY_PER_M * away), 0.0)
+        parts = (_differences(reaches, before), _differences(wrist, wrist_before), close.reshape(len(reaches), n, -1))
+        values = np.concatenate(parts, axis=2)
         dt_s = situation.duration_s / (n - 1)
         per_derivative = np.array([1.0, dt_s**-2, dt_s**-4, dt_s**-6])
         values *= SCALES * np.concatenate([per_derivative, per_derivative, np.full(16, dt_s)])
@@ -169,3 +160,21 @@ class ReachFeatures:
         batch = np.asarray(q, dtype=np.float64)
         values: FloatArray = self.waypoint_values(batch[None] if batch.ndim == 2 else batch, situation).sum(axis=1)
         return values[0] if batch.ndim == 2 else values
+
+
+def _differences(y: FloatArray, before: FloatArray) -> FloatArray:
+    """Return the squares (R, N, 4), summed over C, of the step to the next waypoint and of `RULES`, for y (R, N, C).
+
+    `before` (H, C) came before the first waypoint; with H = 0 the first waypoint is repeated there. After the last
+    waypoint it is repeated, so it has no step.
+    """
+    n = y.shape[1]
+    earlier = np.broadcast_to(before[-REACH:], (len(y), REACH, y.shape[2])) if len(before) else y[:, [0] * REACH]
+    padded = np.concatenate([earlier, y, y[:, [-1] * REACH]], axis=1)
+    found = np.empty((len(y), n, 1 + len(RULES)))
+    for first in range(0, len(y), _TOGETHER):
+        some = padded[first : first + _TOGETHER]
+        for k, rule in enumerate((_STEP, *RULES)):
+            value = sum(factor * some[:, i : i + n] for i, factor in enumerate(rule) if factor)
+            np.einsum("rnc,rnc->rn", value, value, out=found[first : first + _TOGETHER, :, k])
+    return found

@@ -16,17 +16,16 @@ from numpy.typing import ArrayLike
 from humanpred_ros.errors import SettingsError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.occupancy.sampled_futures import MOST_FUTURES
+from humanpred_ros.reaching.between_ends import PostureBounds
 from humanpred_ros.reaching.end_postures import EndPosture, standing
-from humanpred_ros.reaching.planner import ReachPlanner, ReachPlannerSettings, unit_deviation
-from humanpred_ros.reaching.posture_bounds import PostureBounds
-from humanpred_ros.reaching.progress import ReachProgress
-from humanpred_ros.reaching.reach_model import ReachModel, ReachShape
+from humanpred_ros.reaching.planner import LEAST_NOISE, ReachPlanner, ReachPlannerSettings, unit_deviation
+from humanpred_ros.reaching.reach_model import ReachModel, ReachProgress, ReachShape
 from humanpred_ros.reaching.surroundings import Surroundings
 from humanpred_ros.settings import Settings, setting
 from humanpred_ros.stomp.config import StompConfig
 
-#: STOMP needs some noise for every DoF.
-_LEAST_NOISE, _MOST_NOISE = 1e-6, 0.003
+#: The noise of a DoF in STOMP is at most this.
+_MOST_NOISE = 0.003
 _LEAST_DURATION_S = 0.1
 _MOST_ENDS = 256
 
@@ -46,7 +45,7 @@ class ReachFuturesSettings(Settings):
         StompConfig(waypoints=30, iterations=15, rollouts=10, reused=5),
         "Settings of STOMP; the noise is not taken from here, but from what people vary",
     )
-    obstacle_weight: float = setting(40.0, "Weight of the obstacles, as in `ImprovedSettings`", low=0.0)
+    obstacle_weight: float = setting(40.0, "Weight of the obstacles, as in `improved_planner`", low=0.0)
     seed: int = setting(0, "Seed of the draws", low=0)
 
     def check(self) -> None:
@@ -78,7 +77,7 @@ class ReachFutures:
         self.settings = s = settings or ReachFuturesSettings()
         human = model.human
         deviation = np.sqrt(np.diag(model.shape.variation)) / unit_deviation(s.stomp.waypoints)
-        noise = tuple(np.clip(deviation, _LEAST_NOISE, _MOST_NOISE).tolist())
+        noise = tuple(np.clip(deviation, LEAST_NOISE, _MOST_NOISE).tolist())
         planning = ReachPlannerSettings(stomp=s.stomp.replaced(noise_std=noise), obstacle_weight=s.obstacle_weight)
         bounds = PostureBounds(human.lower, human.upper, np.zeros(len(human.dof_names), dtype=np.bool_))
         self._planner = ReachPlanner(human, weights, bounds, surroundings or Surroundings.empty(), planning)

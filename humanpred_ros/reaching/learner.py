@@ -13,9 +13,9 @@ from humanpred_ros.errors import MotionError, UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
-from humanpred_ros.reaching.collisions import CollisionSettings, ReachCollisions
-from humanpred_ros.reaching.demonstrations import CutSettings, Demonstration, SamplingSettings, demonstrations
-from humanpred_ros.reaching.features import FEATURE_NAMES, N_FEATURES, FeatureSettings, ReachFeatures
+from humanpred_ros.reaching.collisions import DOUBTFUL_M, ReachCollisions
+from humanpred_ros.reaching.demonstrations import Demonstration, SamplingSettings, demonstrations
+from humanpred_ros.reaching.features import FEATURE_NAMES, N_FEATURES, N_WAYPOINTS, REACH, ReachFeatures
 from humanpred_ros.reaching.piirl import Contrast, PiirlSettings, PiirlSolution, contrasts, learn_weights
 from humanpred_ros.reaching.surroundings import Surroundings
 from humanpred_ros.reaching.weights import ReachWeights
@@ -27,12 +27,10 @@ _log = logging.getLogger(__name__)
 class LearningSettings(Settings):
     """How weights are learned from recordings."""
 
-    features: FeatureSettings = setting(FeatureSettings(), "How reaches become features")
-    splitting: CutSettings | None = setting(CutSettings(), "Where reaches are cut; none for whole reaches only")
+    n_waypoints: int = setting(N_WAYPOINTS, "Waypoints that a reach is resampled to, evenly in time", low=2 * REACH + 1)
+    cut: bool = setting(True, "Also learn from the later parts of reaches, cut at every 0.1 s")
     sampling: SamplingSettings = setting(SamplingSettings(), "How demonstrations are varied")
-    collisions: CollisionSettings | None = setting(
-        CollisionSettings(), "Which samples are discarded; none keeps those that go through table and partner"
-    )
+    collisions: bool = setting(True, "Discard samples that go through table or partner")
     piirl: PiirlSettings = setting(PiirlSettings(), "Loss, bounds, penalties")
     keep_unfit: bool = setting(False, "Also learn from recordings with jumps, as P2 did")
     bootstrap: int = setting(20, "Times that weights are learned again, from recordings drawn with replacement", low=0)
@@ -69,7 +67,7 @@ class ReachLearner:
     ) -> None:
         self.settings = s = settings or LearningSettings()
         self._model = model or HumanModel.mocap23()
-        features = ReachFeatures(self._model, s.features)
+        features = ReachFeatures(self._model, s.n_waypoints)
         self._recordings = {recording.name: recording for recording in recordings}
         if len(self._recordings) < len(recordings):
             names = [recording.name for recording in recordings]
@@ -77,11 +75,9 @@ class ReachLearner:
             raise UsageError(f"learning: wanted recordings of different names, got {', '.join(twice)} more than once")
         for recording in recordings:
             self._model.check_dofs(recording.active.dof_names)
-        demos = demonstrations(recordings, features, s.splitting, keep_unfit=s.keep_unfit)
+        demos = demonstrations(recordings, features, cut=s.cut, keep_unfit=s.keep_unfit)
         self._left_out = _left_out(recordings, demos)
-        collisions = None
-        if s.collisions is not None:
-            collisions = ReachCollisions(self._model, surroundings, s.collisions)
+        collisions = ReachCollisions(self._model, surroundings) if s.collisions else None
         self._obstacles = [] if collisions is None else [each.name for each in collisions.surroundings.obstacles]
         self._contrasts = contrasts(demos, features, s.sampling, np.random.default_rng(s.seed), collisions)
         self.names = tuple(dict.fromkeys(contrast.recording for contrast in self._contrasts))
@@ -147,7 +143,7 @@ class ReachLearner:
         for name, contrast in deepest.items():
             touch = contrast.touches[0]
             text = f"{name}: {touch} as recorded (demonstration {contrast.demonstration}); samples may go as deep there"
-            if self.settings.collisions is not None and touch.depth_m > self.settings.collisions.doubtful_m:
+            if touch.depth_m > DOUBTFUL_M:
                 text += "; check that the scene stands where it stood when this was recorded"
                 _log.warning(text)
             notes.append((name, text))

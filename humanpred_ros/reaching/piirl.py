@@ -2,12 +2,10 @@
 
 Path-integral inverse reinforcement learning. With features phi of demonstration d and of its samples k, and weights w,
 
-    paper:  L(w) = sum over d of log sum over k of exp(-w . (phi_dk - phi_d))
-    coded:  L(w) = sum over d and k of exp(-w . (phi_dk - phi_d))        (the authors' code; docs/papers.md (2.5))
+    L(w) = sum over d of log sum over k of exp(-w . (phi_dk - phi_d))
 
-Both are convex in w. Neither has the demonstration itself in the sum, so on data that weights can separate both fall
-without end: w is bounded, 0 <= w <= `upper`. For the second the logarithm is minimised, which has the same minimiser
-and does not overflow.
+It is convex in w. The demonstration itself is not in the sum, so on data that weights can separate it falls without
+end: w is bounded, 0 <= w <= `upper`.
 """
 
 from __future__ import annotations
@@ -16,7 +14,6 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from scipy.optimize import minimize
@@ -26,7 +23,6 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.reaching.collisions import ReachCollisions, Touch
 from humanpred_ros.reaching.demonstrations import Demonstration, SamplingSettings, sample_around
 from humanpred_ros.reaching.features import FEATURE_NAMES, N_FEATURES, ReachFeatures
-from humanpred_ros.reaching.learning_kernels import log_sums
 from humanpred_ros.settings import Settings, setting
 
 #: A weight this close to its bound (relative to `upper`) is reported to be there.
@@ -38,7 +34,6 @@ _THREADS = 4
 class PiirlSettings(Settings):
     """How weights are learned."""
 
-    loss: Literal["paper", "coded"] = setting("paper", "The paper's loss, or that of the authors' code")
     with_demonstration: bool = setting(
         False, "Count the demonstration among what could have been done, as a likelihood would (docs/papers.md (2.3))"
     )
@@ -47,9 +42,8 @@ class PiirlSettings(Settings):
         "Divide each feature by its standard deviation over the samples before learning, so that bound and penalties "
         "mean the same for all; the weights returned are for the features as they are",
     )
-    # Without a finite bound the losses fall without end where weights separate the data.
+    # Without a finite bound the loss falls without end where weights separate the data.
     upper: float = setting(300.0, "Upper bound of the weights, of normalised features if so", low=1e-12)
-    l1: float = setting(0.0, "Penalty l1 sum(w) for each demonstration", low=0.0)
     l2: float = setting(0.0, "Penalty l2 sum(w^2) / 2 for each demonstration", low=0.0)
     without: tuple[str, ...] = setting((), "Names of features whose weights are kept at 0")
 
@@ -116,10 +110,10 @@ def contrasts(
 
     def contrast(demo: Demonstration, source: np.random.Generator) -> Contrast:
         beside = None if collisions is None else collisions.beside(demo.q, demo.partner)
-        samples = sample_around(demo, sampling, source, beside)
-        differences = features.values(samples.q, demo.situation) - features.values(demo.q, demo.situation)
+        samples, collided = sample_around(demo, sampling, source, beside)
+        differences = features.values(samples, demo.situation) - features.values(demo.q, demo.situation)
         touches = () if beside is None else beside.touches
-        return Contrast(demo.name, demo.recording, differences, samples.collided, touches)
+        return Contrast(demo.name, demo.recording, differences, collided, touches)
 
     # Nearly all of the work is in compiled loops, which let other threads run.
     with ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1)) as pool:
@@ -171,7 +165,7 @@ def learn_weights(
 
 
 class PiirlLoss:
-    """The loss of demonstrations; for "coded", its logarithm times the number of demonstrations.
+    """The loss of demonstrations, with its gradient.
 
     Args:
         blocks: (K, 24) features of samples minus those of their demonstration, one block for each.
@@ -180,17 +174,19 @@ class PiirlLoss:
 
     def __init__(self, blocks: Sequence[FloatArray], settings: PiirlSettings) -> None:
         self._settings = settings
-        self._n = len(blocks)
-        together = settings.loss == "coded"
-        ends = [0, *np.cumsum([len(block) for block in blocks])]
-        self._starts = np.array([0, ends[-1]] if together else ends, dtype=np.int64)
-        self._times = float(self._n if together else 1)
-        self._differences = np.ascontiguousarray(np.concatenate(blocks))
+        self._counts = np.array([len(block) for block in blocks])
+        self._starts = np.cumsum(self._counts) - self._counts
+        self._differences = np.concatenate(blocks)
 
     def at(self, w: FloatArray) -> tuple[float, FloatArray]:
         """Return the loss and its gradient (24,) at weights (24,)."""
-        s, n = self._settings, self._n
-        gradient = np.zeros(len(w))
-        loss = self._times * log_sums(self._differences, self._starts, w, s.with_demonstration, gradient)
-        loss += n * (s.l1 * float(w.sum()) + 0.5 * s.l2 * float(w @ w))
-        return loss, self._times * gradient + n * (s.l1 + s.l2 * w)
+        n, l2, own = len(self._counts), self._settings.l2, self._settings.with_demonstration
+        exponents = -(self._differences @ w)
+        # The largest is subtracted first, so that nothing overflows; the demonstration itself has the exponent 0.
+        top = np.maximum.reduceat(exponents, self._starts)
+        top = np.maximum(top, 0.0) if own else top
+        shares = np.exp(exponents - np.repeat(top, self._counts))
+        totals = np.add.reduceat(shares, self._starts) + (np.exp(-top) if own else 0.0)
+        gradient = -((shares / np.repeat(totals, self._counts)) @ self._differences)
+        loss = float((top + np.log(totals)).sum())
+        return loss + n * (0.5 * l2 * float(w @ w)), gradient + n * (l2 * w)

@@ -14,8 +14,7 @@ from humanpred_ros.errors import ArrayError, HumanModelError, MotionError, Usage
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.reaching.excess_cost import N_COLUMNS, HandState, best_reach, observe
-from humanpred_ros.reaching.hand_outliers import OUTLIER, RESTARTED
+from humanpred_ros.reaching.excess_cost import OUTLIER, RESTARTED, HandFollower, best_reach
 from humanpred_ros.reaching.place_model import (
     PlaceModel,
     PlaceSettings,
@@ -24,9 +23,8 @@ from humanpred_ros.reaching.place_model import (
     reach_lessons,
     unknown_probability,
 )
-from humanpred_ros.reaching.places import Places
-from humanpred_ros.reaching.progress import ReachProgress
-from humanpred_ros.reaching.unlisted_places import UnlistedPlaces, evenly_picked
+from humanpred_ros.reaching.places import Places, UnlistedPlaces, evenly_picked
+from humanpred_ros.reaching.reach_model import ReachProgress
 from humanpred_ros.recognition.classifier import Classifier, ClassPosterior, check_trainable
 from humanpred_ros.recognition.reach_features import N_START, point_links
 
@@ -41,7 +39,7 @@ class PlaceClassifier(Classifier):
 
     All places are equally probable beforehand. They are in the tracker's frame, and stay where they are when a person
     stands elsewhere. A posture takes the same time however long the reach has lasted. One that shows the hand where it
-    cannot be (`hand_outliers`) changes nothing.
+    cannot be (`excess_cost.LostHand`) changes nothing.
 
     Attributes:
         human: whose postures come.
@@ -128,8 +126,7 @@ class PlaceClassifier(Classifier):
 
     def start(self) -> None:
         """Forget the reach that was observed."""
-        self._state = HandState.fresh()
-        self._row = np.zeros(N_COLUMNS)
+        self._hand = HandFollower()
         self._last_s = -math.inf
         self._n_frames = 0
         self._best: dict[tuple[float, ...], FloatArray] = {}
@@ -157,7 +154,7 @@ class PlaceClassifier(Classifier):
             raise ArrayError(f"posture: wanted a body within {_FARTHEST_M:g} m of the tracker, got one beyond; drop it")
         self._last_s = t_s
         self._n_frames += 1
-        conclusion = observe(self._state, points, t_s, self._row)
+        conclusion = self._hand.observe(points, t_s)
         if conclusion == RESTARTED:
             self._best = {}
             self.progress.start()
@@ -166,7 +163,7 @@ class PlaceClassifier(Classifier):
         if self.progress.sets_out_again:
             self.start()
             return self.update(q, t_s)
-        log_evidence = self.model.log_likelihood(self._row[None], places.places_m, self._best_reaches(places))[0]
+        log_evidence = self.model.log_likelihood(self._hand.row[None], places.places_m, self._best_reaches(places))[0]
         # Best reaches of the whole body are known for listed places only, so listed and unlisted ones are compared by
         # the hand alone.
         listed = self._by_hand(places.places_m) - np.log(len(places))
@@ -186,7 +183,7 @@ class PlaceClassifier(Classifier):
 
     def _by_hand(self, places_m: FloatArray) -> FloatArray:
         """Return ln P(reach of the hand so far | place) (G,) of places (G, 3), up to a constant."""
-        log_likelihood: FloatArray = self.model.log_likelihood(self._row[None], places_m)[0]
+        log_likelihood: FloatArray = self.model.log_likelihood(self._hand.row[None], places_m)[0]
         return log_likelihood
 
     def _unlisted_places(self) -> tuple[FloatArray, FloatArray]:
@@ -208,7 +205,7 @@ class PlaceClassifier(Classifier):
 
         Each takes about a millisecond, so only a few are computed per posture, once a reach.
         """
-        if self.model.ends is None or self._state.reach.n_seen[0] < N_START:
+        if self.model.ends is None or self._hand.reach.n_seen[0] < N_START:
             return None
         wanted = [tuple(place) for place in places.places_m.tolist()]
         missing = [place for place in dict.fromkeys(wanted) if place not in self._best]

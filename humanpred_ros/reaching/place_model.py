@@ -13,7 +13,7 @@ weights are large, and a motion counts once, however many of its postures are lo
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,11 +23,10 @@ from numpy.typing import NDArray
 from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.motion import Motion, MotionLibrary, unwrap_angles
+from humanpred_ros.motion.motion import MotionLibrary, unwrap_angles
 from humanpred_ros.reaching.end_postures import EndPostures
 from humanpred_ros.reaching.excess_cost import N_PARTS, best_reach, chosen_postures, excess_costs, reach_so_far
-from humanpred_ros.reaching.places import Places, ReachEnd, reach_ends, reaching_for, typical_end
-from humanpred_ros.reaching.unlisted_places import UnlistedPlaces
+from humanpred_ros.reaching.places import Places, ReachEnd, UnlistedPlaces, reach_ends, reaching_for, typical_end
 from humanpred_ros.recognition.reach_features import N_START
 from humanpred_ros.settings import Settings, setting
 
@@ -122,9 +121,6 @@ class ReachLesson:
     rows: FloatArray
     q: FloatArray
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "rows", frozen(self.rows))
-
 
 def reach_lessons(library: MotionLibrary, human: HumanModel, settings: PlaceSettings) -> tuple[ReachLesson, ...]:
     """Return a lesson for each motion of a library, in its order.
@@ -142,68 +138,28 @@ def reach_lessons(library: MotionLibrary, human: HumanModel, settings: PlaceSett
     )
 
 
-def learn_place_model(
-    motions: Iterable[Motion],
-    human: HumanModel,
-    places: Places | None = None,
-    settings: PlaceSettings | None = None,
-    ends: EndPostures | None = None,
-) -> PlaceModel:
-    """Return the model that follows from motions with known places.
-
-    Args:
-        motions: reaches, with or without the way back; those without a label, or with one that has no place, are
-            left out. Mistracked ones count: the tracker will lose arms in use, too.
-        human: whose motions they are.
-        places: of the labels; if None, where each class's motions go, the learned one not counted.
-        settings: how to learn.
-        ends: in which posture reaches end; if None, learned from the same motions.
-
-    Raises:
-        HumanModelError: motions of another human.
-        LibraryFormatError: two motions of the same name, or mixed DoFs.
-    """
-    settings = settings or PlaceSettings()
-    labelled = tuple(motion for motion in motions if motion.label is not None)
-    if not labelled:
-        return PlaceModel.prior()
-    lessons = reach_lessons(MotionLibrary("reaches", labelled), human, settings)
-    return fit_place_model(lessons, human, settings, places, ends)
-
-
 def fit_place_model(
-    lessons: Sequence[ReachLesson],
-    human: HumanModel,
-    settings: PlaceSettings,
-    places: Places | None = None,
-    ends: EndPostures | None = None,
-    *,
-    without: Collection[int] = (),
+    lessons: Sequence[ReachLesson], human: HumanModel, settings: PlaceSettings, without: Collection[int] = ()
 ) -> PlaceModel:
     """Return the model that follows from lessons; the prior one where there is nothing to tell apart.
 
     Nothing is learned of the labels in `without`, nor from motions mislabelled that end there, nor are they
-    alternatives; the rest as `learn_place_model`.
+    alternatives. Motions without a label are left out. Mistracked ones count: the tracker will lose arms in use, too.
     """
     strayed = reaching_for([lesson.end for lesson in lessons], without)
     used = [lesson for lesson in lessons if lesson.end.label is not None and lesson.end.name not in strayed]
-    own_ends = [lesson.end for lesson in used]
-    known = places.by_label if places is not None else Places.of_ends(own_ends).by_label if own_ends else {}
-    known = {label: place for label, place in known.items() if places is None or label not in without}
-    if not known:
+    if not used:
         return PlaceModel.prior()
-    if ends is None:
-        tracked = [lesson.q for lesson in used if lesson.end.tracked] or [lesson.q for lesson in used]
-        ends = EndPostures.learn(tracked, human)
+    own_ends = [lesson.end for lesson in used]
+    known = Places.of_ends(own_ends).by_label
+    tracked = [lesson.q for lesson in used if lesson.end.tracked] or [lesson.q for lesson in used]
+    ends = EndPostures.learn(tracked, human)
     choices = []
     for lesson in used:
-        label = lesson.end.label
-        if label is None or label not in known:
-            continue
         # A motion's own end would make its place too easy to find.
-        others = [other for other in own_ends if other.label == label and other.name != lesson.end.name]
-        true_m = typical_end(others or [lesson.end]) if places is None else known[label]
-        alternatives = np.array([place for other, place in known.items() if other != label]).reshape(-1, 3)
+        others = [o for o in own_ends if o.label == lesson.end.label and o.name != lesson.end.name]
+        true_m = typical_end(others or [lesson.end])
+        alternatives = np.array([place for label, place in known.items() if label != lesson.end.label]).reshape(-1, 3)
         apart = np.linalg.norm(alternatives - true_m, axis=1) >= settings.apart_m
         if apart.any():
             offered = np.vstack([true_m, alternatives[apart]])

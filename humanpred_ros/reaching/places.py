@@ -3,6 +3,10 @@
 A place is a point in the tracker's frame. It comes from a parameter, from a scene, or from a library: where the motions
 of a class have their farthest palm. People hit a place within a few centimetres, and trackers lose arms, so a class's
 place is a median, and motions that are mistracked or mislabelled are not counted.
+
+A person also reaches for what no list has. Such a reach goes somewhere, most likely to where people's hands go at all
+as seen from the body, which the library shows. A set of unlisted places stands for all of these. What speaks for a
+listed place, that the motion so far is a good way to it, speaks for them in the same way.
 """
 
 from __future__ import annotations
@@ -10,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,8 +24,9 @@ from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.cleaning import DROP_REASONS, flag_library
 from humanpred_ros.motion.motion import MotionLibrary
+from humanpred_ros.reaching.end_postures import EndPostures, standing
 from humanpred_ros.reaching.excess_cost import farthest_palm
-from humanpred_ros.recognition.reach_features import point_links
+from humanpred_ros.recognition.reach_features import POINTS, point_links
 
 #: How much farther than the length of the arm people get by leaning, turning and stepping, metres. In both of P1's
 #: libraries no place is more than 0.63 m farther from the shoulder at the start than the arm is long.
@@ -28,27 +34,18 @@ LEAN_M = 0.7
 _RIGID_TOLERANCE = 1e-6
 #: No room is larger; and labels travel as float32, which holds whole numbers exactly up to this.
 _FARTHEST_M, _LARGEST_LABEL = 1000.0, 2**24
-
-
-@dataclass(frozen=True)
-class OutOfReach:
-    """A place that a person cannot get to from where the person stands.
-
-    Attributes:
-        label: of the place.
-        distance_m: from the right shoulder.
-        limit_m: how far this person gets.
-    """
-
-    label: int
-    distance_m: float
-    limit_m: float
-
-    def __str__(self) -> str:
-        return (
-            f"place {self.label} is {self.distance_m:.2f} m from the right shoulder, out of reach: this person gets "
-            f"{self.limit_m:.2f} m far; check the place and the frame it is in"
-        )
+#: Number of unlisted places of each kind, drawn evenly: where people reach most they are less than 0.1 m apart.
+N_PLACES = 512
+#: Factor on the variance of the reaches seen: people also reach beyond the places that a library shows.
+_WIDER = 2.0
+#: Least standard deviation, metres: reaches to one place only, or all at one height, say little about others.
+_LEAST_M = 0.05
+#: Standard deviation in each direction about the shoulder before anything is learned, metres.
+_UNLEARNED_M = 0.5
+#: After that, one in this many reaches still goes anywhere: to a shelf above the only table seen, or to a fallen tool.
+_ANYWHERE = 8
+#: The R3 sequence, a golden ratio in three dimensions: its multiples, less whole numbers, fill the unit cube evenly.
+_RATIO = 1.0 / 1.22074408460575947536 ** np.arange(1, 4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,46 +106,35 @@ class Places:
             raise ArrayError(f"transform of places: wanted a rotation and a translation, got {T.tolist()}")
         return Places(self.labels, self.places_m @ R.T + T[:3, 3])
 
-    def out_of_reach(self, human: HumanModel, q: ArrayLike, lean_m: float = LEAN_M) -> tuple[OutOfReach, ...]:
-        """Return the places that a person in posture (D,) cannot get to.
+    def out_of_reach(self, human: HumanModel, q: ArrayLike) -> dict[int, str]:
+        """Return the places that a person in posture (D,) cannot get to, by label, with a sentence about each.
 
-        Args:
-            human: whose posture it is.
-            q: usually the first of a reach.
-            lean_m: how much farther than the length of the arm people get by leaning and stepping.
+        People get farther than the length of the arm by `LEAN_M`.
 
         Raises:
             HumanModelError: a posture of another human, or one without a right arm.
         """
         palm, elbow, shoulder = human.link_poses(q)[point_links(human)[:3]][..., :3, 3]
-        limit_m = float(np.linalg.norm(palm - elbow) + np.linalg.norm(elbow - shoulder)) + lean_m
+        limit_m = float(np.linalg.norm(palm - elbow) + np.linalg.norm(elbow - shoulder)) + LEAN_M
         distances = np.linalg.norm(self.places_m - shoulder, axis=1).tolist()
-        return tuple(
-            OutOfReach(label, distance, limit_m)
+        return {
+            label: f"place {label} is {distance:.2f} m from the right shoulder, out of reach: this person gets "
+            f"{limit_m:.2f} m far; check the place and the frame it is in"
             for label, distance in zip(self.labels, distances, strict=True)
             if distance > limit_m
-        )
+        }
 
     @classmethod
-    def of_library(cls, library: MotionLibrary, human: HumanModel, *, without_motion: str | None = None) -> Places:
-        """Return one place for each class of a library: where its motions have their farthest palm.
+    def of_ends(cls, ends: Sequence[ReachEnd], *, without_motion: str | None = None) -> Places:
+        """Return one place for each label among ends of reaches: the typical one.
 
         Args:
-            library: of this human; motions without a label are not counted.
-            human: whose right palm it is.
+            ends: of a library's motions (`reach_ends`); those without a label are not counted.
             without_motion: a motion (`class/index`) that is not counted, as one that is to be tested.
 
         Raises:
             LibraryFormatError: no labelled motions, or a class whose only motion is left out.
-            UsageError: no motion of that name.
-            HumanModelError: a library of another human.
         """
-        left_out = None if without_motion is None else library.find(without_motion).name
-        return cls.of_ends(reach_ends(library, human), without_motion=left_out)
-
-    @classmethod
-    def of_ends(cls, ends: Sequence[ReachEnd], *, without_motion: str | None = None) -> Places:
-        """Return one place for each label among ends of reaches; as `of_library`."""
         labels = sorted({end.label for end in ends if end.label is not None})
         if not labels:
             raise LibraryFormatError("places: wanted motions with a label, got none; label them or give places")
@@ -233,7 +219,7 @@ def reach_ends(library: MotionLibrary, human: HumanModel) -> tuple[ReachEnd, ...
     Raises:
         HumanModelError: a library of another human.
     """
-    wrong = mistracked(library, human)
+    wrong = {flag.motion for flag in flag_library(library, model=human) if flag.reason in DROP_REASONS}
     return tuple(
         ReachEnd(motion.name, motion.label, farthest_palm(motion, human), motion.name not in wrong)
         for motion in library
@@ -259,13 +245,91 @@ def reaching_for(ends: Sequence[ReachEnd], labels: Collection[int]) -> frozenset
     return frozenset(found)
 
 
-def mistracked(library: MotionLibrary, human: HumanModel) -> Collection[str]:
-    """Return the names of motions that are mistracked or mislabelled."""
-    return frozenset(flag.motion for flag in flag_library(library, model=human) if flag.reason in DROP_REASONS)
-
-
 def typical_end(ends: Sequence[ReachEnd]) -> FloatArray:
     """Return the median (3,) of the ends (at least one) that were tracked, of all if none was."""
     counted = [end.place_m for end in ends if end.tracked] or [end.place_m for end in ends]
     place: FloatArray = np.median(counted, axis=0)
     return place
+
+
+@dataclass(frozen=True, eq=False)
+class UnlistedPlaces:
+    """Places as seen from a body, spread over where hands may go: what "none of the places" means.
+
+    Attributes:
+        human: whose body.
+        seen_m: (M, 3) from the pelvis, x where it looks, z up; ordered from one side of the body to the other.
+        share: (M,) how probable each is before a reach begins, given that it is one of them; positive, with sum 1.
+
+    Raises:
+        ArrayError: arrays of another shape, or shares that are not such.
+    """
+
+    human: HumanModel
+    seen_m: FloatArray
+    share: FloatArray
+
+    def __post_init__(self) -> None:
+        seen = checked("unlisted places", self.seen_m, ("M", 3))
+        share = checked("shares of unlisted places", self.share, (len(seen),))
+        if not (share > 0.0).all() or abs(float(share.sum()) - 1.0) > 1e-9:
+            raise ArrayError(f"unlisted places: wanted positive shares with sum 1, got a sum of {share.sum()}")
+        object.__setattr__(self, "seen_m", frozen(seen))
+        object.__setattr__(self, "share", frozen(share))
+
+    @classmethod
+    def around_ends(cls, ends: EndPostures) -> UnlistedPlaces:
+        """Return places spread about where reaches were seen to end, and farther."""
+        reached = ends.seen[:, :3]
+        centre = reached.mean(axis=0)
+        away = reached - centre
+        variance, axes = np.linalg.eigh(_WIDER * away.T @ away / len(away))
+        deviation = np.sqrt(np.maximum(variance, _LEAST_M**2))
+        # The symmetric root: the signs of the axes, which are arbitrary, do not matter.
+        near = _drawn() @ (axes * deviation) @ axes.T
+        anywhere = _UNLEARNED_M * _drawn()
+        share = np.repeat([1.0 - 1.0 / _ANYWHERE, 1.0 / _ANYWHERE], N_PLACES) / N_PLACES
+        return cls._from_side_to_side(ends.human, centre + np.vstack([near, anywhere]), share)
+
+    @classmethod
+    def around_shoulder(cls, human: HumanModel) -> UnlistedPlaces:
+        """Return places all around the right shoulder, for when no reach was learned from."""
+        q = np.clip(np.zeros(len(human.dof_names)), human.lower, human.upper)
+        T = standing(human, q)
+        shoulder = human.link_poses(q)[point_links(human)[POINTS.index("right_shoulder")], :3, 3]
+        places = (shoulder - T[:3, 3]) @ T[:3, :3] + _UNLEARNED_M * _drawn()
+        return cls._from_side_to_side(human, places, np.full(N_PLACES, 1.0 / N_PLACES))
+
+    @classmethod
+    def _from_side_to_side(cls, human: HumanModel, seen_m: FloatArray, share: FloatArray) -> UnlistedPlaces:
+        order = np.argsort(np.arctan2(seen_m[:, 1], seen_m[:, 0]))
+        return cls(human, seen_m[order], share[order])
+
+    def around(self, posture: FloatArray) -> FloatArray:
+        """Return them (M, 3) in the tracker's frame for a reach that begins in a posture (D,)."""
+        T = standing(self.human, posture)
+        places: FloatArray = self.seen_m @ T[:3, :3].T + T[:3, 3]
+        return places
+
+
+def evenly_picked(places_m: FloatArray, log_probability: FloatArray, n: int) -> FloatArray:
+    """Return n of places (M, 3), each as often as it is probable, as nearly as n allows.
+
+    Nothing is random (systematic resampling), so predictions do not flicker; neighbours in the array should be
+    neighbours in space.
+
+    Args:
+        places_m: at least one.
+        log_probability: (M,) up to a constant.
+        n: how many.
+    """
+    reached = np.cumsum(np.exp(log_probability - log_probability.max()))
+    picked: FloatArray = places_m[np.searchsorted(reached, (np.arange(n) + 0.5) / n * reached[-1])]
+    return picked
+
+
+def _drawn() -> FloatArray:
+    """Return (N_PLACES, 3) evenly spread standard normal numbers."""
+    even = (0.5 + np.arange(1, N_PLACES + 1)[:, None] * _RATIO) % 1.0
+    normal = NormalDist()
+    return np.array([[normal.inv_cdf(share) for share in row] for row in even.tolist()])

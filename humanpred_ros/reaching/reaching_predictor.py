@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,22 +18,101 @@ from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.geometry.solids import Obstacle
+from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.motion import MotionLibrary, unwrap_angles
+from humanpred_ros.motion.reach_recordings import ACTIVE, find_jumps
 from humanpred_ros.occupancy.predictor import Prediction, Predictor, PredictorRequest
 from humanpred_ros.occupancy.sampled_futures import SampledFutures, SweepSettings
 from humanpred_ros.occupancy.voxeliser import checked_placement
 from humanpred_ros.reaching.futures import ReachFutures, ReachFuturesSettings
 from humanpred_ros.reaching.place_classifier import PlaceClassifier
+from humanpred_ros.reaching.place_model import PlaceModel, PlaceSettings, fit_place_model, reach_lessons
 from humanpred_ros.reaching.places import Places
-from humanpred_ros.reaching.progress import ReachProgress
-from humanpred_ros.reaching.reach_knowledge import ReachKnowledge
+from humanpred_ros.reaching.reach_model import ReachModel, ReachProgress
 from humanpred_ros.reaching.surroundings import Surroundings
 from humanpred_ros.reaching.weights import reach_weights
 from humanpred_ros.recognition.classifier import ClassPosterior
+from humanpred_ros.recognition.forest import evenly_spaced
 from humanpred_ros.recognition.stream import StreamClassifier
+from humanpred_ros.recognition.training import TrainedModel
 from humanpred_ros.settings import Settings, setting
 
 #: P2's cost as its authors learned it.
 DEFAULT_WEIGHTS = "authors_dynamic"
+
+#: Postures that are learned from of each motion of a model.
+_N_POSTURES = 50
+
+
+@dataclass(frozen=True, eq=False)
+class ReachKnowledge:
+    """All that is learned for the predictor `reaching`.
+
+    Attributes:
+        model: how people reach.
+        place_model: how to tell the place.
+        places: where the library's classes end, tracker's frame; None if it has no classes.
+        source: name of the library.
+        left_out: names of the motions that were not learned from, because they are mistracked.
+    """
+
+    model: ReachModel
+    place_model: PlaceModel
+    places: Places | None
+    source: str
+    left_out: tuple[str, ...] = ()
+
+    @classmethod
+    def of_library(cls, library: MotionLibrary, human: HumanModel) -> ReachKnowledge:
+        """Learn from a library; it needs no classes.
+
+        Raises:
+            HumanModelError: a library of other DoFs than the human's.
+            MotionError: motions that do not suffice.
+        """
+        human.check_dofs(library.dof_names)
+        settings = PlaceSettings()
+        lessons = reach_lessons(library, human, settings)
+        ends = [lesson.end for lesson in lessons]
+        wrong = {end.name for end in ends if not end.tracked}
+        # The arms that a depth camera shows jump in every other motion; where motion capture jumps, a marker was
+        # mistaken.
+        if human.signature == HumanModel.mocap23().signature:
+            wrong |= {motion.name for motion in library if find_jumps(motion, ACTIVE, human)}
+        fit = [motion for motion in library if motion.name not in wrong] or list(library)
+        return cls(
+            ReachModel.learn(fit, human),
+            fit_place_model(lessons, human, settings),
+            Places.of_ends(ends) if library.labels else None,
+            library.name,
+            tuple(motion.name for motion in library if motion.name in wrong) if len(fit) < len(library) else (),
+        )
+
+    @classmethod
+    def of_model(cls, model: TrainedModel, human: HumanModel) -> ReachKnowledge:
+        """Learn from the motions that a model file holds.
+
+        Raises:
+            UsageError: a model that was trained for another human.
+        """
+        if model.human.signature != human.signature:
+            raise UsageError(
+                f"predictor: the model was trained for another human than {human.name}; train one for this human"
+            )
+        return cls.of_library(library_of_model(model), human)
+
+
+def library_of_model(model: TrainedModel) -> MotionLibrary:
+    """Return the motions of a model, thinned to `_N_POSTURES` postures each, evenly spaced from first to last.
+
+    Each motion is taken to last as long as the library's median one.
+    """
+    duration_s = float(np.median([motion.duration_s for motion in model.library]))
+    motions = []
+    for motion in model.library:
+        q = unwrap_angles(motion).q[evenly_spaced(len(motion), _N_POSTURES)]
+        motions.append(replace(motion, t_s=np.linspace(0.0, duration_s, len(q)), q=q))
+    return MotionLibrary(model.library.name, tuple(motions), model.library.provenance)
 
 
 class ReachingSettings(Settings):
@@ -137,7 +217,7 @@ class ReachingPredictor(Predictor):
 
     def warnings(self, q: FloatArray) -> dict[str, str]:
         """Return which places a person in posture (D,) cannot get to, as a text for each."""
-        return {f"place {far.label}": str(far) for far in self._places.out_of_reach(self.human, q)}
+        return {f"place {label}": text for label, text in self._places.out_of_reach(self.human, q).items()}
 
     def start(self) -> None:
         """Forget what was observed: the next posture is the first of a new motion."""
@@ -179,8 +259,7 @@ class ReachingPredictor(Predictor):
             # There is one way back, wherever the hand comes from.
             yield np.full(n, 1.0 / n), self._futures.towards(progress, places.places_m[0])
             return
-        out_of_reach = places.out_of_reach(self.human, progress.start_posture)
-        far = np.isin(places.labels, [place.label for place in out_of_reach])
+        far = np.isin(places.labels, list(places.out_of_reach(self.human, progress.start_posture)))
         # If all places are out of reach, a reach towards them is expected rather than none.
         share = posterior.given_known
         share = share if far.all() else np.where(far, 0.0, share)

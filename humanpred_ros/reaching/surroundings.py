@@ -1,19 +1,22 @@
-"""What a reach has to keep clear of: the table with its boxes, and the partner (docs/papers.md, "P2 scene")."""
+"""What a reach has to keep clear of: table and boxes, and the partner as capsules (docs/papers.md, "P2 scene")."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from humanpred_ros.errors import SceneError
+from humanpred_ros.errors import HumanModelError, SceneError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
+from humanpred_ros.geometry.compiled import fast
+from humanpred_ros.geometry.description import Body
 from humanpred_ros.geometry.distance_field import SignedDistanceField, build_distance_field
 from humanpred_ros.geometry.solids import Box, Obstacle, planar_pose
-from humanpred_ros.reaching.cost_kernels import lower_to_capsules
+from humanpred_ros.human.model import HumanModel
 
 #: Larger distances are not told apart: the clearance, the radius of the thickest body, and the interpolation's error.
 CAP_M = 0.35
@@ -137,3 +140,85 @@ def _of_p2() -> Surroundings:
     T = planar_pose(*_TABLE_PLACE)
     table = (Obstacle(name, Box(*size), T @ planar_pose(*centre)) for name, size, centre in _TABLE_BOXES)
     return Surroundings(tuple(table), np.array(_REGION_M[0]), np.array(_REGION_M[1]))
+
+
+@fast
+def lower_to_capsules(
+    values: NDArray[Any],
+    origin: NDArray[Any],
+    resolution: Any,
+    ends: NDArray[Any],
+    radius: NDArray[Any],
+    cap: Any,
+) -> None:
+    """Lower the distances at the nodes of a lattice (nx, ny, nz) to those from capsules, up to `cap`."""
+    for k in range(len(radius)):
+        reach = radius[k] + cap
+        low, high = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
+        for a in range(3):
+            near, far = min(ends[k, 0, a], ends[k, 1, a]), max(ends[k, 0, a], ends[k, 1, a])
+            low[a] = max(0, int(np.floor((near - reach - origin[a]) / resolution)))
+            high[a] = min(values.shape[a], int(np.ceil((far + reach - origin[a]) / resolution)) + 1)
+        bx, by, bz = ends[k, 1, 0] - ends[k, 0, 0], ends[k, 1, 1] - ends[k, 0, 1], ends[k, 1, 2] - ends[k, 0, 2]
+        length2 = max(bx * bx + by * by + bz * bz, np.float32(1e-12))
+        for i in range(low[0], high[0]):
+            x = origin[0] + np.float32(i) * resolution - ends[k, 0, 0]
+            for j in range(low[1], high[1]):
+                y = origin[1] + np.float32(j) * resolution - ends[k, 0, 1]
+                row = values[i, j]
+                for m in range(low[2], high[2]):
+                    z = origin[2] + np.float32(m) * resolution - ends[k, 0, 2]
+                    s = min(max((x * bx + y * by + z * bz) / length2, np.float32(0.0)), np.float32(1.0))
+                    u, v, w = x - s * bx, y - s * by, z - s * bz
+                    row[m] = min(row[m], np.sqrt(u * u + v * v + w * w) - radius[k])
+
+
+@dataclass(frozen=True, eq=False)
+class BodyCapsules:
+    """Capsules fixed to the links of one human.
+
+    Attributes:
+        links: K names.
+        ends_m: (K, 2, 3) both ends of each capsule's bone, in its link's frame.
+        radius_m: (K,).
+    """
+
+    links: tuple[str, ...]
+    ends_m: FloatArray
+    radius_m: FloatArray
+
+    @classmethod
+    def of(cls, model: HumanModel, names: Iterable[str] | None = None) -> BodyCapsules:
+        """Return a capsule for each body of a human, or for those of `names` that it has.
+
+        Capsules and spheres are exact. A box or a cylinder becomes a capsule along its longest side, with the geometric
+        mean of the other sides as radius: P2's torso is right to 0.02 m except at rims and corners.
+
+        Raises:
+            HumanModelError: a human without any of the bodies.
+        """
+        wanted = None if names is None else set(names)
+        bodies = [body for body in model.bodies if wanted is None or body.name in wanted]
+        if not bodies:
+            raise HumanModelError(
+                f"capsules of {model.name}: wanted some of {', '.join(wanted or ('its bodies',))}, it has "
+                f"{', '.join(body.name for body in model.bodies) or 'none'}"
+            )
+        ends, radii = zip(*(_capsule(body) for body in bodies), strict=True)
+        return cls(tuple(body.link for body in bodies), frozen(np.stack(ends)), frozen(np.array(radii)))  # type: ignore[arg-type]
+
+    def placed(self, model: HumanModel, q: FloatArray) -> FloatArray:
+        """Return the ends (K, 2, 3) of the capsules of a human in posture (J,), in the tracker's frame."""
+        poses = model.link_poses(q)[[model.link_names.index(link) for link in self.links]]
+        ends: FloatArray = np.einsum("kij,kej->kei", poses[:, :3, :3], self.ends_m) + poses[:, None, :3, 3]
+        return ends
+
+
+def _capsule(body: Body) -> tuple[FloatArray, float]:
+    """Return the ends (2, 3) of the bone in the link's frame, and the radius."""
+    half = np.array(body.shape.half_m)
+    axis = int(np.argmax(half))
+    radius = float(np.sqrt(np.prod(np.delete(half, axis))))
+    ends = np.zeros((2, 3))
+    ends[:, axis] = np.array([-1.0, 1.0]) * max(float(half[axis]) - radius, 0.0)
+    return ends @ body.T_link_body[:3, :3].T + body.T_link_body[:3, 3], radius

@@ -12,16 +12,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from humanpred_ros.errors import HumanPredError, ModelFileError, MotionError, UsageError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.reaching.features import FEATURE_NAMES, N_FEATURES, NAMED_WEIGHTS, SCALES
 
-FORMAT = "humanpred_ros reach weights"
-FORMAT_VERSION = 2
+FORMAT, FORMAT_VERSION = "humanpred_ros reach weights", 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +82,22 @@ def reach_weights(name_or_file: str) -> FloatArray:
     )
 
 
+class _WeightsFile(BaseModel):
+    """What a file holds; weights, spread and scales by feature."""
+
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+
+    format: Literal["humanpred_ros reach weights"]
+    format_version: Literal[2]
+    weights: dict[str, float]
+    # For people; it follows from the bootstrap.
+    spread: dict[str, float] | None
+    scales: dict[str, float]
+    at_upper: list[str]
+    provenance: dict[str, Any]
+    bootstrap: list[list[float]]
+
+
 def save_weights(weights: ReachWeights, path: str | Path) -> None:
     """Write the weights; a reader sees the old file or the new one, never a part.
 
@@ -89,13 +105,13 @@ def save_weights(weights: ReachWeights, path: str | Path) -> None:
         ModelFileError: the file cannot be written, or the provenance cannot be written as JSON.
     """
     path = Path(path)
+    named = [dict(zip(FEATURE_NAMES, row.tolist(), strict=True)) for row in (weights.weights, weights.spread, SCALES)]
     value = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
-        "weights": _named(weights.weights),
-        # For people; it follows from the bootstrap.
-        "spread": _named(weights.spread) if len(weights.bootstrap) > 1 else None,
-        "scales": _named(SCALES),
+        "weights": named[0],
+        "spread": named[1] if len(weights.bootstrap) > 1 else None,
+        "scales": named[2],
         "at_upper": list(weights.at_upper),
         "provenance": dict(weights.provenance),
         "bootstrap": weights.bootstrap.tolist(),
@@ -131,48 +147,36 @@ def load_weights(path: str | Path) -> ReachWeights:
         raise ModelFileError(
             f"weights {path}: could not be read ({trouble}); check the path, or learn them again"
         ) from trouble
-    if not isinstance(value, dict) or value.get("format") != FORMAT or value.get("format_version") != FORMAT_VERSION:
-        came = [value.get("format"), value.get("format_version")] if isinstance(value, dict) else type(value).__name__
-        raise ModelFileError(
-            f"weights {path}: wanted a file of {FORMAT}, version {FORMAT_VERSION}, got {came!r:.80}; learn them again"
-        )
-    weights, scales = (_numbers(path, what, value.get(what)) for what in ("weights", "scales"))
-    if (other := np.flatnonzero(np.abs(scales - SCALES) > 1e-12 * SCALES)).size:
-        k = int(other[0])
-        raise ModelFileError(
-            f"weights {path}: wanted features of this version's scales, {FEATURE_NAMES[k]} has {scales[k]:g} there and "
-            f"{SCALES[k]:g} here; learn them again"
-        )
     try:
-        bootstrap = np.array(value["bootstrap"], dtype=np.float64)
-        return ReachWeights(
-            weights=weights,
-            bootstrap=bootstrap if bootstrap.size else np.zeros((0, N_FEATURES)),
-            at_upper=tuple(str(name) for name in value["at_upper"]),
-            provenance=dict(value["provenance"]),
+        file = _WeightsFile.model_validate(value)
+        weights, scales = (
+            _in_order(what, named) for what, named in (("weights", file.weights), ("scales", file.scales))
         )
-    except (HumanPredError, KeyError, TypeError, ValueError) as trouble:
-        raise ModelFileError(f"weights {path}: its parts do not fit ({trouble}); learn them again") from trouble
-
-
-def _named(values: FloatArray) -> dict[str, float]:
-    return dict(zip(FEATURE_NAMES, values.tolist(), strict=True))
-
-
-def _numbers(path: Path, what: str, named: Any) -> FloatArray:
-    """Return the numbers (24,) of a mapping from features' names, whatever its order."""
-    if not isinstance(named, Mapping) or set(named) != set(FEATURE_NAMES):
-        names = set(named) if isinstance(named, Mapping) else set()
-        lacking = [name for name in FEATURE_NAMES if name not in names]
-        unknown = sorted(str(name) for name in names - set(FEATURE_NAMES))
-        raise ModelFileError(
-            f"weights {path}: wanted {what} of the {N_FEATURES} features of this version (lacking: "
-            f"{', '.join(lacking) or 'none'}; unknown: {', '.join(unknown) or 'none'}); learn them again"
-        )
-    for name in FEATURE_NAMES:
-        value = named[name]
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+        if (other := np.flatnonzero(np.abs(scales - SCALES) > 1e-12 * SCALES)).size:
+            k = int(other[0])
             raise ModelFileError(
-                f"weights {path}: wanted finite {what}, got {value!r:.40} for {name}; learn them again"
+                f"wanted features of this version's scales, {FEATURE_NAMES[k]} has {scales[k]:g} there and "
+                f"{SCALES[k]:g} here"
             )
+        bootstrap = np.array(file.bootstrap) if file.bootstrap else np.zeros((0, N_FEATURES))
+        return ReachWeights(weights, bootstrap, tuple(file.at_upper), file.provenance)
+    except ValidationError as trouble:
+        first = trouble.errors()[0]
+        where = " ".join(map(str, first["loc"]))
+        raise ModelFileError(
+            f"weights {path}: wanted a file of {FORMAT}, version {FORMAT_VERSION}; {where}: {first['msg']}, got "
+            f"{first['input']!r:.80}; learn them again"
+        ) from trouble
+    except (HumanPredError, ValueError) as trouble:
+        raise ModelFileError(f"weights {path}: {trouble}; learn them again") from trouble
+
+
+def _in_order(what: str, named: Mapping[str, float]) -> FloatArray:
+    """Return the numbers (24,) of a mapping from features' names, whatever its order."""
+    if set(named) != set(FEATURE_NAMES):
+        lacking = [name for name in FEATURE_NAMES if name not in named]
+        raise ModelFileError(
+            f"wanted {what} of the {N_FEATURES} features of this version (lacking: {', '.join(lacking) or 'none'}; "
+            f"unknown: {', '.join(sorted(set(named) - set(FEATURE_NAMES))) or 'none'})"
+        )
     return np.array([named[name] for name in FEATURE_NAMES], dtype=np.float64)

@@ -25,7 +25,7 @@ from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary, turn_and_shift
 from humanpred_ros.occupancy.predictor import Predictor, predictor_type
-from humanpred_ros.reaching.places import Places
+from humanpred_ros.reaching.places import Places, reach_ends
 from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
 from humanpred_ros.recognition.gmm_classifier import GmmSettings
 
@@ -146,7 +146,7 @@ def test_the_motion_left_out_says_nothing_about_its_place() -> None:
 def test_the_class_has_its_place_among_the_others() -> None:
     goals = Places.of(reaching_without(LEFT_OUT, library()).places)
     assert goals.labels == (0, 10, 20)
-    own = Places.of_library(library(), HUMAN, without_motion=LEFT_OUT)
+    own = Places.of_ends(reach_ends(library(), HUMAN), without_motion=LEFT_OUT)
     np.testing.assert_allclose(goals.places_m, own.places_m)
 
 

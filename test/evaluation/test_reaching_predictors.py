@@ -23,8 +23,8 @@ from humanpred_ros.evaluation.reaching_predictors import (
 from humanpred_ros.evaluation.reaching_runs import DEMONSTRATIONS
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import Jump, ReachRecording, load_reach_recordings
-from humanpred_ros.reaching.first_guess import minimum_jerk
-from humanpred_ros.reaching.prediction import ReachTask
+from humanpred_ros.reaching.between_ends import minimum_jerk
+from humanpred_ros.reaching.planner import ReachTask
 
 RNG = np.random.default_rng(0)
 ELBOW = MODEL.dof_names.index("rElbowZ")

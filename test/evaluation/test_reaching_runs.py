@@ -40,8 +40,8 @@ from humanpred_ros.evaluation.reaching_runs import (
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import Jump, ReachRecording, load_reach_recordings
-from humanpred_ros.reaching.first_guess import minimum_jerk
-from humanpred_ros.reaching.prediction import ReachTask
+from humanpred_ros.reaching.between_ends import minimum_jerk
+from humanpred_ros.reaching.planner import ReachTask
 
 RECORDINGS = [recording(seed, n_frames=40) for seed in range(3)]
 JOINT, AS_CODED, TASK = DISTANCES
@@ -134,7 +134,7 @@ def test_randomness_is_shown_over_runs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_what_learns_gets_weights_that_have_not_seen_the_tested_reach(monkeypatch: pytest.MonkeyPatch) -> None:
-    quick_learning(monkeypatch, 20, collisions=None)
+    quick_learning(monkeypatch, 20, collisions=False)
     given: dict[str, FloatArray] = {}
     plan = reaching_predictors.improved_planner
 

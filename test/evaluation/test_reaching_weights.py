@@ -36,7 +36,7 @@ NAMES = [entry.name for entry in RECORDINGS]
 def quick() -> dict[str, LearnedWeights]:
     with pytest.MonkeyPatch.context() as patch:
         few = {
-            how: config.replaced(sampling=config.sampling.replaced(n_samples=40), collisions=None, bootstrap=4)
+            how: config.replaced(sampling=config.sampling.replaced(n_samples=40), collisions=False, bootstrap=4)
             for how, config in LEARNING.items()
         }
         patch.setattr(reaching_weights, "LEARNING", few)
@@ -57,7 +57,7 @@ def test_leaving_one_out_is_learning_from_the_others() -> None:
 
 def test_alone_is_learning_from_each(quick: dict[str, LearnedWeights]) -> None:
     config = LEARNING[ALONE]
-    config = config.replaced(sampling=config.sampling.replaced(n_samples=40), collisions=None, bootstrap=0, seed=1)
+    config = config.replaced(sampling=config.sampling.replaced(n_samples=40), collisions=False, bootstrap=0, seed=1)
     learner = ReachLearner(RECORDINGS, MODEL, config)
     assert list(quick[ALONE].each) == NAMES
     for name in NAMES:

@@ -16,7 +16,7 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.reaching.places import Places
+from humanpred_ros.reaching.places import Places, reach_ends
 from humanpred_ros.viewing.run import read_run
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
@@ -37,7 +37,7 @@ def test_a_place_that_is_told_while_the_person_is_on_the_way_is_found(tmp_path: 
     shipped, human = load_library(SHIPPED), HumanModel.kinect12()
     learned = some_of(shipped, set(shipped.labels) - {UNKNOWN}, 4)
     library = write_library_bag(learned, tmp_path / "learned")
-    places = Places.of_library(shipped, human)
+    places = Places.of_ends(reach_ends(shipped, human))
     two = Places.of({label: places.by_label[label] for label in (1, 5)})
     three = Places.of({**two.by_label, NEW_LABEL: places.by_label[UNKNOWN]})
     parameters = {"library": str(library), "places": goal_texts(two)}
@@ -69,7 +69,7 @@ def test_places_are_changed_refused_and_warned_about(tmp_path: Path) -> None:
     shipped = load_library(SHIPPED)
     learned = some_of(shipped, {0, 4}, 3)
     library = write_library_bag(learned, tmp_path / "learned")
-    own = Places.of_library(learned, HumanModel.kinect12())
+    own = Places.of_ends(reach_ends(learned, HumanModel.kinect12()))
     with PredictorClient(tmp_path, {"library": str(library)}, stop_after=1) as client:
         tracker = client.replay(SHIPPED, "4/5")
         client.wait(lambda: bool(client.posteriors), "an answer", timeout_s=60.0)
@@ -99,7 +99,7 @@ def test_places_are_changed_refused_and_warned_about(tmp_path: Path) -> None:
 
 def test_the_23_dof_human_reaches_for_a_place_of_no_library(tmp_path: Path) -> None:
     captured = mocap_library(4, 4)
-    places = Places.of_library(captured, HumanModel.mocap23())
+    places = Places.of_ends(reach_ends(captured, HumanModel.mocap23()))
     learned = write_library_bag(some_of(captured, {0, 2, 3}, 4), tmp_path / "learned")
     played = mocap_library(4, 1, seed=9)
     bag = write_library_bag(played, tmp_path / "played")

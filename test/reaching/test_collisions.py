@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,19 +9,17 @@ from hypothesis import strategies as st
 from paths import shared_data
 from reaching_people import MODEL, recording
 
-from humanpred_ros.errors import SettingsError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.solids import Box, Obstacle, cylinder, planar_pose
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
-from humanpred_ros.reaching import collision_kernels as kernels
-from humanpred_ros.reaching.body import MOVING_BODIES, BodyCapsules
-from humanpred_ros.reaching.collisions import CollisionSettings, ReachCollisions
+from humanpred_ros.reaching.collisions import SLACK_M, ReachCollisions, clearances, packed
+from humanpred_ros.reaching.cost_terms import MOVING_BODIES
 from humanpred_ros.reaching.demonstrations import Demonstration, demonstration, smooth_noise
-from humanpred_ros.reaching.features import FeatureSettings, ReachFeatures
-from humanpred_ros.reaching.surroundings import Surroundings
+from humanpred_ros.reaching.features import ReachFeatures
+from humanpred_ros.reaching.surroundings import BodyCapsules, Surroundings
 
 N = 30
-FEATURES = ReachFeatures(MODEL, FeatureSettings(n_waypoints=N))
+FEATURES = ReachFeatures(MODEL, n_waypoints=N)
 LOW, HIGH = np.array([0.9, 0.3, 0.6]), np.array([2.6, 2.0, 1.9])
 
 
@@ -68,13 +64,11 @@ def test_distances_are_those_of_points_along_the_bones(seed: int) -> None:
 def distances(
     mine: FloatArray, radius: float, obstacles: list[Obstacle], theirs: FloatArray, theirs_radius: float
 ) -> FloatArray:
-    from humanpred_ros.reaching.collisions import _packed
-
     single = np.float32
     out = np.full((1, len(obstacles) + 1), single(1e3))
     capsules = (np.array([[0, 1]]), np.array([radius], single))
     partner = (theirs[None].astype(single), np.array([theirs_radius], single))
-    kernels.clearances(mine[None].astype(single), capsules, _packed(obstacles), partner, out)
+    clearances(mine[None].astype(single), capsules, packed(obstacles), partner, out)
     return out[0].astype(np.float64)
 
 
@@ -82,8 +76,7 @@ def distances(
 def test_samples_that_collide_are_those_whose_bodies_are_in_something(partner: bool) -> None:
     """Once more in plain words, without lattice, bounds or early ends."""
     about = demo()
-    config = CollisionSettings(partner=partner)
-    found = ReachCollisions(MODEL, None, config).beside(about.q, about.partner)
+    found = ReachCollisions(MODEL).beside(about.q, about.partner if partner else None)
     samples = varied(about, 30, deviation=6e-3)
     scene, moving, beside = Surroundings.of_p2(), BodyCapsules.of(MODEL, MOVING_BODIES), BodyCapsules.of(MODEL)
     assert about.partner is not None
@@ -103,7 +96,7 @@ def test_samples_that_collide_are_those_whose_bodies_are_in_something(partner: b
         lowest: FloatArray = np.min(values, axis=0)
         return lowest
 
-    allowed = np.minimum(least(about.q) - config.slack_m, 0.0)
+    allowed = np.minimum(least(about.q) - SLACK_M, 0.0)
     deeper = np.array([(least(q) - allowed).min() for q in samples])
     got = found.of(samples)
     certain = np.abs(deeper) > 3e-3  # points on bones lie up to 2 cm apart
@@ -131,28 +124,21 @@ def crate(about: Demonstration, size_m: float = 0.1) -> Surroundings:
 
 def test_where_a_demonstration_is_in_something_is_told() -> None:
     about = demo()
-    found = ReachCollisions(MODEL, crate(about), CollisionSettings(partner=False)).beside(about.q, about.partner)
+    found = ReachCollisions(MODEL, crate(about)).beside(about.q, None)
     deepest = found.touches[0]
     assert (deepest.body, deepest.obstacle) == ("right_hand", "crate")
     assert deepest.depth_m > 0.04
     assert str(deepest).startswith("right hand ")
     assert str(deepest).endswith(" cm in crate")
     assert [touch.depth_m for touch in found.touches] == sorted((t.depth_m for t in found.touches), reverse=True)
-    assert (
-        ReachCollisions(MODEL, Surroundings.empty(), CollisionSettings(partner=False))
-        .beside(about.q, about.partner)
-        .touches
-        == ()
-    )
+    assert ReachCollisions(MODEL, Surroundings.empty()).beside(about.q, None).touches == ()
 
 
 def test_a_sample_may_go_as_deep_as_the_demonstration_and_no_deeper() -> None:
     about = demo()
     height = 2.0 * float(hand_path(about.q)[:, 2].min())  # the palm comes down to its top
     scene = Surroundings((Obstacle("floor", Box(2.0, 2.0, height), planar_pose(1.8, 1.2)),), LOW, HIGH)
-    found = ReachCollisions(MODEL, scene, CollisionSettings(partner=False, slack_m=0.005)).beside(
-        about.q, about.partner
-    )
+    found = ReachCollisions(MODEL, scene).beside(about.q, None)
     up = MODEL.dof_names.index("PelvisTransZ")
     assert found.touches[0].body == "right_hand"
     for shift_m, collides in ((0.02, False), (0.0, False), (-0.004, False), (-0.006, True), (-0.1, True)):
@@ -165,9 +151,7 @@ def test_boards_thinner_than_the_planners_lattice_are_seen() -> None:
     about = demo()
     place = hand_path(about.q)[N // 2]
     board = Obstacle("board", Box(0.3, 0.3, 0.01), planar_pose(place[0], place[1], place[2] - 0.2))
-    found = ReachCollisions(MODEL, Surroundings((board,), LOW, HIGH), CollisionSettings(partner=False)).beside(
-        about.q, about.partner
-    )
+    found = ReachCollisions(MODEL, Surroundings((board,), LOW, HIGH)).beside(about.q, None)
     lowered = about.q.copy()
     lowered[:, MODEL.dof_names.index("PelvisTransZ")] -= 0.2
     assert found.of(lowered[None]).all()
@@ -180,22 +164,19 @@ def test_partner_is_where_the_demonstration_begins() -> None:
     np.testing.assert_array_equal(about.partner, recording(0).passive.q[0])
     toward = about.q.copy()
     toward[:, MODEL.dof_names.index("PelvisTransX")] -= 0.5  # into the partner, who is 0.7 m away
-    assert ReachCollisions(MODEL, Surroundings.empty()).beside(about.q, about.partner).of(toward[None]).all()
-    alone = dataclasses.replace(about, partner=None)
-    assert not ReachCollisions(MODEL, Surroundings.empty()).beside(alone.q, alone.partner).of(toward[None]).any()
-    blind = ReachCollisions(MODEL, Surroundings.empty(), CollisionSettings(partner=False))
-    assert not blind.beside(about.q, about.partner).of(toward[None]).any()
-    assert "partner" in ReachCollisions(MODEL, Surroundings.empty()).beside(about.q, about.partner).most_frequent(
-        toward[None]
-    )
-    assert blind.beside(about.q, about.partner).most_frequent(toward[None]) == ""
+    shared = ReachCollisions(MODEL, Surroundings.empty())
+    together, alone = (shared.beside(about.q, partner) for partner in (about.partner, None))
+    assert together.of(toward[None]).all()
+    assert "partner" in together.most_frequent(toward[None])
+    assert not alone.of(toward[None]).any()
+    assert alone.most_frequent(toward[None]) == ""
 
 
 def test_obstacles_outside_the_region_of_the_lattice_count() -> None:
     about = demo()
     far = Surroundings(crate(about).obstacles, np.array([0.0, 0.0, 0.0]), np.array([0.5, 0.5, 0.5]))
-    found = ReachCollisions(MODEL, far, CollisionSettings(partner=False)).beside(about.q, about.partner)
-    near = ReachCollisions(MODEL, crate(about), CollisionSettings(partner=False)).beside(about.q, about.partner)
+    found = ReachCollisions(MODEL, far).beside(about.q, None)
+    near = ReachCollisions(MODEL, crate(about)).beside(about.q, None)
     samples = varied(about, 40)
     np.testing.assert_array_equal(found.of(samples), near.of(samples))
     assert near.of(samples).any()
@@ -212,9 +193,3 @@ def test_p2s_recordings_touch_by_centimetres_only() -> None:
         touching[entry.name] = max((touch.depth_m for touch in found.touches), default=0.0)
     assert {name for name, depth in touching.items() if depth > 0.005} == {"0446-0578", "1537-1608"}
     assert max(touching.values()) < 0.03
-
-
-@pytest.mark.parametrize("bad", [{"slack_m": -0.1}, {"doubtful_m": -1.0}, {"slack_m": np.nan}])
-def test_impossible_settings_are_refused(bad: dict[str, float]) -> None:
-    with pytest.raises(SettingsError, match=next(iter(bad))):
-        CollisionSettings(**bad)  # type: ignore[arg-type]

@@ -9,8 +9,7 @@ from reaching_people import GOAL, MODEL, PARTNER, START, reach
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.distance_field import SignedDistanceField
-from humanpred_ros.reaching.body import ReachBody
-from humanpred_ros.reaching.cost_terms import BodyCost, PostureSmoothness
+from humanpred_ros.reaching.cost_terms import BodyCost, PostureSmoothness, ReachBody
 from humanpred_ros.reaching.features import LINK_POINTS, N_FEATURES, ReachFeatures, ReachSituation
 from humanpred_ros.reaching.surroundings import Surroundings
 

@@ -17,20 +17,26 @@ from humanpred_ros.motion.motion import Motion
 from humanpred_ros.reaching.end_postures import EndPostures
 from humanpred_ros.reaching.excess_cost import (
     ARRIVED,
+    FASTEST_M_S,
     HAND,
     MOST_M,
     N_ALONG,
     N_COLUMNS,
     N_PARTS,
+    N_STEADY,
+    OUTLIER,
+    PART,
     PARTS,
     REACHED_M,
+    RECOVERED,
+    RESTARTED,
     START,
-    HandState,
+    HandFollower,
+    LostHand,
     best_reach,
     chosen_postures,
     distances_from,
     excess_costs,
-    observe,
     reach_so_far,
 )
 
@@ -43,10 +49,10 @@ def seen(path: FloatArray, period_s: float = 1 / 60) -> FloatArray:
 
 
 def seen_at(path: FloatArray, t_s: FloatArray) -> FloatArray:
-    state, row, rows = HandState.fresh(), np.zeros(N_COLUMNS), []
+    hand, rows = HandFollower(), []
     for place, t in zip(path, t_s.tolist(), strict=True):
-        observe(state, np.tile(place, (4, 1)), t, row)
-        rows.append(row.copy())
+        hand.observe(np.tile(place, (4, 1)), t)
+        rows.append(hand.row.copy())
     return np.array(rows)
 
 
@@ -214,3 +220,66 @@ def test_people_seen_by_motion_capture_are_judged_alike() -> None:
     assert (costs[-1].sum(axis=1) @ [1, -1]) < -0.1
     with pytest.raises(HumanModelError):
         reach_so_far(Motion(t_s, q[:, :12], DOF_NAMES), MOCAP)
+
+
+def minimum_jerk_hand(way_m: float = 0.6, duration_s: float = 1.0, rate_hz: float = 60.0) -> FloatArray:
+    """Return the hand (T, 3) on a minimum-jerk way that begins after ten postures at rest."""
+    s = np.concatenate([np.zeros(10), np.linspace(0.0, 1.0, round(duration_s * rate_hz) + 1)])[:, None]
+    return (s**3 * (10 - 15 * s + 6 * s * s)) * np.array([way_m, 0.0, 0.0])
+
+
+def conclusions(hand: FloatArray, rate_hz: float = 60.0, begun_at: int = 15) -> list[int]:
+    belief = LostHand()
+    return [belief.judge(place, k / rate_hz, k >= begun_at) for k, place in enumerate(hand)]
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 30.0, 60.0, 120.0])
+def test_the_fastest_reach_that_people_can_do_is_accepted_in_the_noise_of_a_tracker(rate_hz: float) -> None:
+    noise = np.random.default_rng(0).normal(0.0, 0.015, (10 + round(0.3 * rate_hz) + 1, 3))
+    assert set(conclusions(minimum_jerk_hand(0.6, 0.3, rate_hz) + noise, rate_hz)) == {PART}
+
+
+@pytest.mark.parametrize("n_lost", [1, 5, 20])
+def test_a_lost_arm_is_left_out_and_found_again(n_lost: int) -> None:
+    for shift in (np.array([0.0, 1.5, 0.9]), np.random.default_rng(1).normal(0.0, 0.5, (n_lost, 3))):
+        hand = minimum_jerk_hand()
+        hand[30 : 30 + n_lost] += shift
+        said = conclusions(hand)
+        back = 30 + n_lost + N_STEADY
+        assert set(said[:30]) == {PART}
+        assert set(said[30 : back - 1]) == {OUTLIER}
+        assert said[back - 1] == RECOVERED
+        assert set(said[back:]) == {PART}
+
+
+def test_a_hand_that_stays_where_it_jumped_is_accepted_in_the_end() -> None:
+    hand = np.vstack([minimum_jerk_hand(), np.tile(minimum_jerk_hand()[-1], (90, 1))])
+    hand[40:] += [0.0, 5.0, 0.0]
+    said = conclusions(hand)
+    found = said.index(RECOVERED)
+    assert 60 * 4.5 / FASTEST_M_S < found - 40 < 60 * 5.5 / FASTEST_M_S
+    assert set(said[found + 1 :]) == {PART}
+
+
+@pytest.mark.parametrize("n_wild", [1, 4, 9])
+def test_a_reach_begins_where_the_hand_is_steady_first(n_wild: int) -> None:
+    hand = minimum_jerk_hand()
+    hand[:n_wild] += [0.0, 4.0, 0.0]
+    said = conclusions(hand)
+    assert said.index(RESTARTED) == n_wild + N_STEADY - 1
+    assert set(said[n_wild + N_STEADY :]) == {PART}
+
+
+def test_a_small_jump_to_and_fro_is_no_reason_to_stay_lost() -> None:
+    hand = minimum_jerk_hand()
+    hand[30] += [0.0, 0.2, 0.0]
+    said = conclusions(hand)
+    assert said.count(OUTLIER) <= N_STEADY
+    assert RECOVERED in said
+
+
+def test_frames_that_never_came_are_no_jump() -> None:
+    hand, belief = minimum_jerk_hand(), LostHand()
+    assert belief.judge(hand[0], 0.0, False) == PART
+    assert belief.judge(hand[-1], 1.0, True) == PART
+    assert belief.judge(hand[-1] + [2.0 * FASTEST_M_S, 0.0, 0.0], 2.0, True) == OUTLIER

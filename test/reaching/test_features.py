@@ -16,13 +16,12 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
 from humanpred_ros.reaching.demonstrations import demonstration
-from humanpred_ros.reaching.feature_kernels import REACH
 from humanpred_ros.reaching.features import (
     N_FEATURES,
     PADDING,
+    REACH,
     RULES,
     SCALES,
-    FeatureSettings,
     ReachFeatures,
     ReachSituation,
 )
@@ -95,7 +94,7 @@ def test_a_batch_gives_what_each_reach_gives_alone() -> None:
 @given(st.integers(0, 2**32 - 1), st.floats(0.2, 5.0))
 def test_features_follow_from_the_way_and_not_from_where_it_happens(seed: int, factor: float) -> None:
     rng = np.random.default_rng(seed)
-    small = ReachFeatures(MODEL, FeatureSettings(n_waypoints=12))
+    small = ReachFeatures(MODEL, n_waypoints=12)
     q = START + np.cumsum(0.05 * rng.normal(size=(12, 23)), axis=0)
     partner = small.link_points(q[6]) + 0.3 * rng.normal(size=(4, 3))
     values = small.values(q, ReachSituation(1.0, partner))
@@ -129,7 +128,7 @@ def test_far_partners_do_not_count() -> None:
 
 def test_the_human_of_the_kinect_has_the_same_features() -> None:
     model = HumanModel.kinect12()
-    features = ReachFeatures(model, FeatureSettings(n_waypoints=20))
+    features = ReachFeatures(model, n_waypoints=20)
     q = np.linspace(np.zeros(12), np.full(12, 0.3), 20)
     values = features.values(q, ReachSituation(1.0, features.link_points(q[0])))
     assert values.shape == (N_FEATURES,)
@@ -142,7 +141,7 @@ def test_the_human_of_the_kinect_has_the_same_features() -> None:
         (MotionError, "positive duration", lambda: ReachSituation(0.0, np.zeros((4, 3)))),
         (MotionError, "partner_m", lambda: ReachSituation(1.0, np.zeros((3, 3)))),
         (ArrayError, "history", lambda: ReachSituation(1.0, np.zeros((4, 3)), np.zeros((5, 23)))),
-        (SettingsError, "n_waypoints.*7.*6", lambda: FeatureSettings(n_waypoints=6)),
+        (SettingsError, "n_waypoints.*7.*6", lambda: ReachFeatures(MODEL, n_waypoints=6)),
         (ArrayError, "reaches", lambda: FEATURES.values(np.zeros((99, 23)), ReachSituation(1.0, np.zeros((4, 3))))),
         (
             ArrayError,

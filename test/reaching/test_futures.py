@@ -12,8 +12,7 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.reaching.end_postures import HAND
 from humanpred_ros.reaching.futures import ReachFutures, ReachFuturesSettings
-from humanpred_ros.reaching.progress import ReachProgress
-from humanpred_ros.reaching.reach_model import ReachModel
+from humanpred_ros.reaching.reach_model import ReachModel, ReachProgress
 
 HUMAN = HumanModel.kinect12()
 PLACES = np.array([[0.62, -0.35, 0.66], [0.62, -0.12, 0.7], [0.48, -0.55, 0.7], [0.65, -0.3, 0.45]])

@@ -15,17 +15,15 @@ from humanpred_ros.errors import HumanModelError, MotionError, SettingsError, Us
 from humanpred_ros.geometry.solids import Box, Obstacle, planar_pose
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import Jump, ReachRecording, load_reach_recordings
-from humanpred_ros.reaching.collisions import CollisionSettings
-from humanpred_ros.reaching.demonstrations import CutSettings, SamplingSettings
-from humanpred_ros.reaching.features import N_FEATURES, FeatureSettings
+from humanpred_ros.reaching.demonstrations import SamplingSettings
+from humanpred_ros.reaching.features import N_FEATURES
 from humanpred_ros.reaching.learner import LearningSettings, ReachLearner, recording_hash
 from humanpred_ros.reaching.piirl import PiirlSettings
 from humanpred_ros.reaching.surroundings import Surroundings
 from humanpred_ros.reaching.weights import ReachWeights
 
 CONFIG = LearningSettings(
-    features=FeatureSettings(n_waypoints=30),
-    splitting=CutSettings(every_s=0.2, least_s=0.6),
+    n_waypoints=30,
     sampling=SamplingSettings(n_samples=40, deviation=5e-3),
     piirl=PiirlSettings(normalised=True, with_demonstration=True, l2=0.1),
     bootstrap=5,
@@ -50,7 +48,7 @@ def test_weights_are_non_negative_and_tell_their_origin(weights: ReachWeights) -
     assert np.isfinite(weights.spread).all()
     assert weights.provenance["recordings"] == ["made_up_0", "made_up_1", "made_up_2", "made_up_3"]
     assert weights.provenance["config"]["sampling"]["n_samples"] == 40
-    assert weights.provenance["demonstrations"][:3] == ["made_up_0", "made_up_0+1", "made_up_0+21"]
+    assert weights.provenance["demonstrations"][:3] == ["made_up_0", "made_up_0+1", "made_up_0+11"]
     assert set(weights.provenance["samples"]) == {40}
     assert weights.provenance["package_version"] == __version__
     assert weights.provenance["config"]["seed"] == 0
@@ -152,7 +150,7 @@ def test_notes_find_their_recording_whatever_its_name() -> None:
 
 
 def test_samples_of_a_recording_do_not_depend_on_those_after_it() -> None:
-    few = CONFIG.replaced(splitting=None)
+    few = CONFIG.replaced(cut=False)
     alone, beside = (ReachLearner(RECORDINGS[:n], MODEL, few) for n in (1, 3))
     np.testing.assert_array_equal(*(each.learn(["made_up_0"]).weights for each in (alone, beside)))
 
@@ -176,12 +174,12 @@ def test_colliding_samples_are_discarded_and_counted() -> None:
     one = RECORDINGS[0]
     beside = dataclasses.replace(crate(one).obstacles[0], T_world_shape=planar_pose(1.75, 1.15, 1.05))
     scene = Surroundings((beside,), np.array([0.9, 0.3, 0.6]), np.array([2.6, 2.0, 1.9]))
-    config = CONFIG.replaced(splitting=None, bootstrap=0)
+    config = CONFIG.replaced(cut=False, bootstrap=0)
     weights = ReachLearner([one], MODEL, config, scene).learn()
     (discarded,) = weights.provenance["discarded"]
     assert discarded > 5
     assert weights.provenance["samples"] == [40]
-    blind = ReachLearner([one], MODEL, config.replaced(collisions=None), scene).learn()
+    blind = ReachLearner([one], MODEL, config.replaced(collisions=False), scene).learn()
     assert blind.provenance["discarded"] == [0]
     assert (blind.weights != weights.weights).any()
 
@@ -213,10 +211,7 @@ def test_if_all_samples_collide_the_recording_and_the_reason_are_named() -> None
 
 
 def test_if_samples_are_lacking_the_recording_is_named(caplog: pytest.LogCaptureFixture) -> None:
-    few = CONFIG.replaced(
-        splitting=None, sampling=SamplingSettings(n_samples=40, deviation=2e-2, attempts=1),
-        collisions=CollisionSettings(partner=False),
-    )  # fmt: skip
+    few = CONFIG.replaced(cut=False, sampling=SamplingSettings(n_samples=40, deviation=2e-2, attempts=1))
     with caplog.at_level(logging.WARNING):
         learner = ReachLearner(RECORDINGS[:1], MODEL, few, crate(RECORDINGS[0]))
     (text,) = [note for note in learner.notes if "samples" in note and "of 40" in note]
@@ -241,16 +236,9 @@ def test_impossible_weights_are_refused(weights: np.ndarray, at_upper: tuple[str
         ReachWeights(weights, np.zeros((0, N_FEATURES)), at_upper, {})
 
 
-def test_a_third_of_the_papers_samples_run_into_the_table_and_half_of_all_into_something() -> None:
+def test_half_of_the_papers_samples_run_into_something() -> None:
     recordings = load_reach_recordings(shared_data("icra2015/demos"))
-    shares = []
-    for partner in (False, True):
-        config = LearningSettings(
-            splitting=None, keep_unfit=True, sampling=SamplingSettings(n_samples=60),
-            collisions=CollisionSettings(partner=partner), bootstrap=0,
-        )  # fmt: skip
-        found = ReachLearner(recordings, MODEL, config).learn().provenance
-        assert found["samples"] == [60] * 7
-        shares.append(sum(found["discarded"]) / (sum(found["discarded"]) + 420))
-    assert 0.25 < shares[0] < 0.5
-    assert 0.5 < shares[1] < 0.75
+    config = LearningSettings(cut=False, keep_unfit=True, sampling=SamplingSettings(n_samples=60), bootstrap=0)
+    found = ReachLearner(recordings, MODEL, config).learn().provenance
+    assert found["samples"] == [60] * 7
+    assert 0.5 < sum(found["discarded"]) / (sum(found["discarded"]) + 420) < 0.75

@@ -25,7 +25,7 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary, placed, turn_and_shift
 from humanpred_ros.reaching.place_classifier import PlaceClassifier, PlaceModel, Places
-from humanpred_ros.reaching.unlisted_places import UnlistedPlaces
+from humanpred_ros.reaching.places import UnlistedPlaces, reach_ends
 from humanpred_ros.recognition.stream import StreamClassifier
 
 HUMAN = HumanModel.kinect12()
@@ -83,7 +83,7 @@ def test_without_its_class_means_without_all_its_motions_but_with_its_place() ->
     without, anew = fitted().fit_without(library(), "10/2"), PlaceClassifier(HUMAN).fit(rest)
     np.testing.assert_allclose(without.model.weights, anew.model.weights, rtol=1e-6)
     assert without.places is not None
-    expected = Places.of_library(library(), HUMAN, without_motion="10/2")
+    expected = Places.of_ends(reach_ends(library(), HUMAN), without_motion="10/2")
     np.testing.assert_allclose(without.places.places_m, expected.places_m, atol=1e-12)
     assert without.places.labels == library().labels
     other = fitted().fit_without(library(), "10/3")

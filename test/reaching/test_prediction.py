@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -12,17 +13,17 @@ from reaching_people import MODEL, recording
 from humanpred_ros.errors import MotionError, PlanningError, SettingsError
 from humanpred_ros.evaluation.reach_distances import reach_distance
 from humanpred_ros.motion.motion import Motion
-from humanpred_ros.motion.reach_recordings import load_reach_recordings
+from humanpred_ros.motion.reach_recordings import ReachRecording, load_reach_recordings
+from humanpred_ros.reaching.between_ends import PostureBounds
 from humanpred_ros.reaching.features import NAMED_WEIGHTS
-from humanpred_ros.reaching.planner import PlannedReach, ReachPlanner, ReachPlannerSettings
-from humanpred_ros.reaching.posture_bounds import BoundsSettings, PostureBounds
-from humanpred_ros.reaching.prediction import (
+from humanpred_ros.reaching.planner import (
     STEP_S,
-    ImprovedSettings,
     PlannedPrediction,
+    PlannedReach,
+    ReachPlanner,
+    ReachPlannerSettings,
     ReachTask,
     improved_planner,
-    planned_prediction,
     planning_frames,
 )
 from humanpred_ros.reaching.surroundings import Surroundings
@@ -32,12 +33,24 @@ FAST = ReachPlannerSettings(stomp=ReachPlannerSettings().stomp.replaced(iteratio
 WEIGHTS = NAMED_WEIGHTS["authors_dynamic"]
 
 
+def planned_prediction(
+    recordings: Sequence[ReachRecording],
+    weights: np.ndarray = WEIGHTS,
+    step_s: float | None = None,
+    settings: ReachPlannerSettings | None = None,
+    relative: bool = False,
+) -> PlannedPrediction:
+    """P2's predictor."""
+    limits = PostureBounds.from_recordings(recordings, MODEL, relative=relative)
+    return PlannedPrediction(ReachPlanner(MODEL, weights, limits, settings=settings), step_s)
+
+
 @pytest.mark.parametrize("step_s", [None, STEP_S])
 def test_a_reach_left_out_is_predicted_at_its_frames(step_s: float | None) -> None:
     task = ReachTask.of(RECORDINGS[0])
-    improved = improved_planner(RECORDINGS[1:], MODEL, WEIGHTS, settings=ImprovedSettings(n_iterations=5))
+    improved = improved_planner(RECORDINGS[1:], MODEL, WEIGHTS)
     for predictor in (
-        planned_prediction(RECORDINGS[1:], MODEL, WEIGHTS, step_s=step_s, settings=FAST),
+        planned_prediction(RECORDINGS[1:], step_s=step_s, settings=FAST),
         PlannedPrediction(improved, step_s),
     ):
         q = predictor.predict(task, np.random.default_rng(0))
@@ -58,7 +71,7 @@ def test_the_better_planner_varies_as_people_do() -> None:
 def test_the_better_planner_is_bounded_by_the_reach_and_p2s_by_the_room() -> None:
     start, goal = ReachTask.of(RECORDINGS[0]).start.copy(), ReachTask.of(RECORDINGS[0]).goal.copy()
     k, moved = MODEL.dof_index["PelvisTransX"], 0.05
-    planned = planned_prediction(RECORDINGS, MODEL, WEIGHTS)
+    planned = planned_prediction(RECORDINGS)
     for planner, follows in ((improved_planner(RECORDINGS, MODEL, WEIGHTS), True), (planned.planner, False)):
         lower, _ = planner.bounds.around(start, goal)
         there = start.copy(), goal.copy()
@@ -72,8 +85,8 @@ def test_on_the_interference_case_p2s_trunk_drifts_to_where_others_stood() -> No
     (case,) = load_reach_recordings(shared_data("icra2015/interference_case"))
     k, task = MODEL.dof_index["PelvisTransX"], ReachTask.of(case)
     low, beyond, joint_m = min(task.start[k], task.goal[k]), [], []
-    for bounds in (None, BoundsSettings(relative=True)):
-        predictor = planned_prediction(demos, MODEL, NAMED_WEIGHTS["authors_static"], bounds=bounds)
+    for relative in (False, True):
+        predictor = planned_prediction(demos, NAMED_WEIGHTS["authors_static"], relative=relative)
         q = predictor.predict(task, np.random.default_rng(0))
         beyond.append(float(low - q[:, k].min()))
         joint_m.append(reach_distance(MODEL, q, case.active.q).joint_m)
@@ -86,7 +99,7 @@ def test_a_mean_of_plans_scatters_less_than_one() -> None:
     spread = []
     for averaged in (1, 8):
         settings = FAST.replaced(averaged=averaged)
-        predictor = planned_prediction(RECORDINGS, MODEL, WEIGHTS, settings=settings)
+        predictor = planned_prediction(RECORDINGS, settings=settings)
         q = np.stack([predictor.predict(task, np.random.default_rng(seed)) for seed in range(8)])
         spread.append(float(q.std(axis=0).mean()))
     assert spread[1] < 0.6 * spread[0]
@@ -94,11 +107,11 @@ def test_a_mean_of_plans_scatters_less_than_one() -> None:
 
 def test_bad_input_is_refused() -> None:
     with pytest.raises(MotionError):
-        planned_prediction([], MODEL, WEIGHTS)
+        planned_prediction([])
     with pytest.raises(MotionError):
         improved_planner([], MODEL, WEIGHTS)
     with pytest.raises(PlanningError, match="step > 0"):
-        planned_prediction(RECORDINGS, MODEL, WEIGHTS, step_s=0.0)
+        planned_prediction(RECORDINGS, step_s=0.0)
     with pytest.raises(SettingsError, match="averaged"):
         ReachPlannerSettings(averaged=0)
 

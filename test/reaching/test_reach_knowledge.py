@@ -18,9 +18,8 @@ from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import MotionLibrary, unwrap_angles
 from humanpred_ros.occupancy.predictor import PredictorRequest, make_predictor
 from humanpred_ros.reaching.features import N_FEATURES, NAMED_WEIGHTS
-from humanpred_ros.reaching.places import Places
-from humanpred_ros.reaching.reach_knowledge import ReachKnowledge, library_of_model
-from humanpred_ros.reaching.reaching_predictor import ReachingPredictor
+from humanpred_ros.reaching.places import Places, reach_ends
+from humanpred_ros.reaching.reaching_predictor import ReachingPredictor, ReachKnowledge, library_of_model
 from humanpred_ros.reaching.weights import ReachWeights, reach_weights, save_weights
 from humanpred_ros.recognition.training import TrainedModel, train_model
 
@@ -85,7 +84,7 @@ def test_a_library_without_classes_needs_places() -> None:
     knowledge = ReachKnowledge.of_library(unlabelled, HUMAN)
     with pytest.raises(UsageError, match=r"wanted at least one place .* bare has no classes"):
         ReachingPredictor(knowledge, GRID, np.eye(4))
-    listed = Places.of_library(library(), HUMAN)
+    listed = Places.of_ends(reach_ends(library(), HUMAN))
     motion = small_library(3, 1, 80, there_and_back=True, seed=7).motions[1]
     predictor = ReachingPredictor(knowledge, GRID, np.eye(4), listed.by_label)
     for q, t_s in zip(motion.q[:35], motion.t_s.tolist(), strict=False):
@@ -95,7 +94,7 @@ def test_a_library_without_classes_needs_places() -> None:
 
 
 def test_on_a_stream_places_may_come_and_go_at_rest_and_in_motion() -> None:
-    listed = Places.of_library(library(), HUMAN).by_label
+    listed = Places.of_ends(reach_ends(library(), HUMAN)).by_label
     knowledge = ReachKnowledge.of_library(library(), HUMAN)
     predictor = ReachingPredictor(knowledge, GRID, np.eye(4), listed, onsets=True)
     motion = small_library(3, 1, 80, there_and_back=True, seed=7).motions[1]

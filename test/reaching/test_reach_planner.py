@@ -15,15 +15,16 @@ from humanpred_ros.evaluation.reach_distances import reach_distance
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import load_reach_recordings
+from humanpred_ros.reaching.between_ends import PostureBounds
 from humanpred_ros.reaching.features import NAMED_WEIGHTS, ReachFeatures, ReachSituation
 from humanpred_ros.reaching.planner import (
     Partner,
+    PlannedPrediction,
     ReachPlanner,
     ReachPlannerSettings,
+    ReachTask,
     unit_deviation,
 )
-from humanpred_ros.reaching.posture_bounds import PostureBounds
-from humanpred_ros.reaching.prediction import PlannedPrediction, ReachTask
 from humanpred_ros.reaching.surroundings import Surroundings
 from humanpred_ros.stomp.smoothness import accelerations_matrix
 

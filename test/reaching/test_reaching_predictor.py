@@ -20,11 +20,9 @@ from humanpred_ros.reaching.end_postures import HAND, EndPostures
 from humanpred_ros.reaching.futures import ReachFuturesSettings
 from humanpred_ros.reaching.place_classifier import PlaceClassifier
 from humanpred_ros.reaching.place_model import PRIOR_WEIGHTS, PlaceModel
-from humanpred_ros.reaching.places import mistracked
-from humanpred_ros.reaching.progress import ReachProgress
-from humanpred_ros.reaching.reach_knowledge import ReachKnowledge
-from humanpred_ros.reaching.reach_model import ReachModel
-from humanpred_ros.reaching.reaching_predictor import ReachingPredictor, ReachingSettings
+from humanpred_ros.reaching.places import reach_ends
+from humanpred_ros.reaching.reach_model import ReachModel, ReachProgress
+from humanpred_ros.reaching.reaching_predictor import ReachingPredictor, ReachingSettings, ReachKnowledge
 
 HUMAN = HumanModel.kinect12()
 GRID = VoxelGrid((-1.2, -1.4, -0.2), 0.05, (52, 56, 44))
@@ -218,7 +216,7 @@ def test_without_any_places_nothing_is_predicted() -> None:
 def test_it_beats_where_the_body_is_on_a_class_of_library_b_never_seen() -> None:
     library = load_library(shared_data("iros2013/library_b"))
     tested = library.of_class(2)[7]
-    wrong = mistracked(library, HUMAN)
+    wrong = {end.name for end in reach_ends(library, HUMAN) if not end.tracked}
     others = [m for m in library if m.label != tested.label and m.name not in wrong]
     taught = PlaceClassifier(HUMAN).fit(library).fit_without(library, tested.name)
     assert taught.places is not None

@@ -8,8 +8,8 @@ from reaching_people import MODEL, PARTNER, START
 
 from humanpred_ros.errors import ArrayError, HumanModelError, SceneError
 from humanpred_ros.geometry.solids import Capsule
-from humanpred_ros.reaching.body import MOVING_BODIES, BodyCapsules
-from humanpred_ros.reaching.surroundings import CAP_M, Surroundings
+from humanpred_ros.reaching.cost_terms import MOVING_BODIES
+from humanpred_ros.reaching.surroundings import CAP_M, BodyCapsules, Surroundings
 from humanpred_ros.robot.scene import load_scene
 
 SCENE = Surroundings.of_p2()

@@ -9,33 +9,23 @@ a reach moves people, wherever they stand.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
-from humanpred_ros.errors import GoalUnreachableError, MotionError
+from humanpred_ros.errors import GoalUnreachableError, HumanModelError, MotionError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
-from humanpred_ros.reaching.first_guess import minimum_jerk, straight_line
-from humanpred_ros.settings import Settings, setting
 
 #: A goal that is so far beyond its bounds, in metres or radians, is one that nobody reaches from where the
 #: demonstrations happened; people on both sides of P2's table differ by up to 0.9 m and 1.8 rad.
 OUT_OF_REACH = 2.0
-
-
-class BoundsSettings(Settings):
-    """Margins beyond what demonstrations did."""
-
-    translation_m: float = setting(
-        0.02, "Margin of all translations: pelvis, shoulder, lengths of bones", unit="m", low=1e-6
-    )
-    pelvis_rad: float = setting(0.05, "Margin of the rotations of the pelvis", unit="rad", low=1e-6)
-    relative: bool = setting(
-        False, "Bound how far a reach leaves the way between its two ends, instead of where it is (not in P2)"
-    )
+#: Margins beyond what demonstrations did: of all translations (pelvis, shoulder, lengths of bones), and of rotations
+#: of the pelvis.
+_TRANSLATION_M, _PELVIS_RAD = 0.02, 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,15 +65,17 @@ class PostureBounds:
 
     @classmethod
     def from_recordings(
-        cls, recordings: Sequence[ReachRecording], model: HumanModel, settings: BoundsSettings | None = None
+        cls, recordings: Sequence[ReachRecording], model: HumanModel, *, relative: bool = False
     ) -> PostureBounds:
         """Return the bounds that the reaching people of recordings kept, with margins.
+
+        With `relative` they bound how far a reach leaves the way between its two ends, instead of where it is (not in
+        P2).
 
         Raises:
             MotionError: no recordings.
             HumanModelError: recordings of another human.
         """
-        settings = settings or BoundsSettings()
         if not recordings:
             raise MotionError("posture bounds: wanted at least one recording, got none")
         for recording in recordings:
@@ -91,8 +83,8 @@ class PostureBounds:
         q = np.concatenate([recording.active.q for recording in recordings])
         slides = model.joints.slides
         free = ~(slides | np.array([name.startswith("PelvisRot") for name in model.dof_names]))
-        margin = np.where(free, np.pi, np.where(slides, settings.translation_m, settings.pelvis_rad))
-        beyond = _farthest_beyond(recordings) + margin if settings.relative else None
+        margin = np.where(free, np.pi, np.where(slides, _TRANSLATION_M, _PELVIS_RAD))
+        beyond = _farthest_beyond(recordings) + margin if relative else None
         return cls(q.min(axis=0) - margin, q.max(axis=0) + margin, free, model.dof_names, beyond)
 
     def around(self, start: FloatArray, goal: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -158,3 +150,85 @@ def posture_variation(recordings: Sequence[ReachRecording]) -> FloatArray:
         found.append(np.sqrt((away**2).mean(axis=0)))
     variation: FloatArray = np.median(found, axis=0)
     return variation
+
+
+#: Makes a reach (n, J) from start (J,) to goal (J,) at phases (n,) from 0 to 1.
+FirstGuess = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
+#: The three rotations of the right shoulder, by the names of the 23-DoF and of the 12-DoF human.
+SHOULDERS = (("rShoulderY1", "rShoulderX", "rShoulderY2"), ("rShoulderX", "rShoulderZ", "rShoulderY"))
+_SAME = 1e-6
+#: Closer than this to a rotation where the angles are not unique they change too fast to be followed, rad.
+_LOCKED_RAD = 0.05
+
+
+def straight_line(start: FloatArray, goal: FloatArray, phase: FloatArray) -> FloatArray:
+    """Return the straight line in posture space at constant speed (P2)."""
+    done = phase[:, None]
+    line: FloatArray = (1.0 - done) * start + done * goal
+    return line
+
+
+def minimum_jerk(phase: FloatArray) -> FloatArray:
+    """Return the share of the way (n,) at phases (n,) with the least integral of squared jerk, at rest at both ends."""
+    profile: FloatArray = phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2)
+    return profile
+
+
+class ShortShoulder:
+    """The straight line with minimum-jerk timing, except for the shoulder, which turns about one fixed axis.
+
+    The shoulder's angles go straight, too, where that turn would end with angles a whole turn off the goal's, or would
+    pass close to where two of the angles turn about the same axis.
+
+    Args:
+        model: the human.
+        joint: its three DoFs, one after the other; the right shoulder if None.
+
+    Raises:
+        HumanModelError: a human without such a joint.
+    """
+
+    def __init__(self, model: HumanModel, joint: Sequence[str] | None = None) -> None:
+        known = [names for names in ((tuple(joint),) if joint else SHOULDERS) if set(names) <= set(model.dof_names)]
+        columns = [model.dof_index[name] for name in known[0]] if known else []
+        if len(columns) != 3 or columns != list(range(columns[0], columns[0] + 3)):
+            raise HumanModelError(
+                f"first guess for {model.name}: wanted a joint of three DoFs one after the other, got "
+                f"{joint or known}; it has {', '.join(model.dof_names)}"
+            )
+        axes = model.joints.axis[columns]
+        number = np.abs(axes).argmax(axis=1)
+        self._columns = np.array(columns)
+        self._sign: FloatArray = np.sign(axes[np.arange(3), number])
+        self._sequence = "".join("XYZ"[k] for k in number)
+        self._proper = bool(number[0] == number[2])
+        self._row, self._column = int(number[0]), int(number[2])
+
+    def __call__(self, start: FloatArray, goal: FloatArray, phase: FloatArray) -> FloatArray:
+        """Return the reach (n, J) from start (J,) to goal (J,) at phases (n,)."""
+        # By rounding the profile may exceed 1 just before the end, which interpolation refuses.
+        done = np.clip(minimum_jerk(phase), 0.0, 1.0)
+        reach = straight_line(start, goal, done)
+        first, last = start[self._columns], goal[self._columns]
+        ends = Rotation.from_euler(self._sequence, np.stack([first, last]) * self._sign)
+        turned = Slerp([0.0, 1.0], ends)(done)
+        # The cosine of the middle angle, or its sine: this element is 1 or -1 where the outer axes coincide.
+        if np.abs(turned.as_matrix()[:, self._row, self._column]).max() <= np.cos(_LOCKED_RAD):
+            angles = self._continued(turned.as_euler(self._sequence) * self._sign, first)
+            if np.abs(angles[-1] - last).max() < _SAME:
+                reach[:, self._columns] = angles
+        reach[0], reach[-1] = start, goal
+        return reach
+
+    def _continued(self, angles: FloatArray, first: FloatArray) -> FloatArray:
+        """Return the same rotations (n, 3) by angles that follow from one to the next, beginning near `first`."""
+        # Every rotation has two triples of angles, and whole turns.
+        middle = -angles[:, 1] if self._proper else np.pi * self._sign[1] - angles[:, 1]
+        other = np.stack([angles[:, 0] + np.pi, middle, angles[:, 2] + np.pi], axis=1)
+        found = np.empty_like(angles)
+        before = first
+        for k, pair in enumerate(zip(angles, other, strict=True)):
+            near = [triple + 2.0 * np.pi * np.round((before - triple) / (2.0 * np.pi)) for triple in pair]
+            apart = [float(np.abs(triple - before).sum()) for triple in near]
+            before = found[k] = near[int(np.argmin(apart))]
+        return found
