@@ -18,10 +18,9 @@ import numpy as np
 from rich.console import Console
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.framework import Begin, Column, LibrarySettings, Report, Table, chosen_names, present
+from humanpred_ros.evaluation.framework import Begin, Column, Report, Table, chosen_names, present
 from humanpred_ros.evaluation.interference_runs import (
     BASIC,
-    METHODS,
     PREDICTING,
     TABLE_METHODS,
     Avoidance,
@@ -33,11 +32,8 @@ from humanpred_ros.evaluation.interference_runs import (
 from humanpred_ros.evaluation.outputs import library_facts
 from humanpred_ros.evaluation.parallel import map_processes
 from humanpred_ros.evaluation.run_plots import draw_interference
-from humanpred_ros.evaluation.simulation import RunSettings, first_of_classes, training_library
-from humanpred_ros.human.model import HumanModel
+from humanpred_ros.evaluation.simulation import METHODS, RunSettings, SimulationSettings, first_of_classes
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.recognition.classifier import check_trainable
-from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.settings import setting
 
 #: Table I's scene.
@@ -51,7 +47,7 @@ CROSSING_M = 0.10
 _LISTED = 20
 
 
-class InterferenceSettings(LibrarySettings):
+class InterferenceSettings(SimulationSettings):
     """Settings of `humanpred evaluate interference`."""
 
     table_motions: tuple[str, ...] = setting(
@@ -66,8 +62,6 @@ class InterferenceSettings(LibrarySettings):
     methods: tuple[str, ...] = setting(
         ("all",), f"methods of the comparison: all, or some of {', '.join(METHODS)}; basic is always among them"
     )
-    hold_out: int = setting(5, "motions of every class that are held out together; the first 5 in P1", low=0)
-    components: int = setting(GmmSettings().n_components, "gmm: Gaussians per class", low=1)
 
     def check(self) -> None:
         """Refuse unknown methods."""
@@ -93,11 +87,7 @@ def measure(settings: InterferenceSettings, begin: Begin, run_settings: RunSetti
         LibraryFormatError: a library that nothing can be learned from.
         HumanPredError: other DoFs, an unknown scene or motion, or a scene that cannot be planned in.
     """
-    library = settings.read_library()
-    gmm = GmmSettings(n_components=settings.components, seed=settings.seed)
-    how = run_settings or RunSettings(gmm=gmm, hold_out=settings.hold_out)
-    HumanModel.kinect12().check_dofs(library.dof_names)
-    check_trainable(training_library(library, how.hold_out))
+    library, how = settings.material(run_settings)
     runs = Runs(library, how)
     for scene in settings.scenes:
         runs.world.scene(scene)  # an unknown one shows before any work is done

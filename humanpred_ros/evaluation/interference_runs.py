@@ -6,14 +6,15 @@ The recorded person does not react. Whether any motion of the arm could have avo
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from humanpred_ros.evaluation.run_figures import ExecutedMotion, RunEvaluator, RunFigures
 from humanpred_ros.evaluation.simulation import (
+    METHODS,
     PredictedOccupancies,
     RunSettings,
     World,
@@ -32,16 +33,6 @@ from humanpred_ros.planning.time_parameterisation import time_parameterise
 from humanpred_ros.planning.trajectory import at_rest
 from humanpred_ros.robot.scene import Scene
 
-#: What the arm goes by: the predictor that it is told by (None: nobody), and what that is.
-METHODS: Mapping[str, tuple[str | None, str]] = MappingProxyType(
-    {
-        "ours": ("forecast", "the default predictor, forecast, with the classifier forest"),
-        "ours_p1": ("swept_volume", "P1's predictor, swept_volume, with the classifier gmm"),
-        "current": ("current", "current occupancy only: the body where it is now"),
-        "wait": ("current", "rests until the human's motion is over, then goes by the last posture"),
-        "basic": (None, "smoothness and obstacles only: knows of no human"),
-    }
-)
 BASIC = "basic"
 #: Table I: P1's two methods and the default predictor, beside human trajectories 25 to 29.
 TABLE_METHODS = ("ours_p1", "ours", BASIC)
@@ -125,13 +116,10 @@ class Runs:
         evaluator = RunEvaluator(scene, self.world.human, motion, final, swept, n_held)
         figures: dict[tuple[str, int], RunFigures] = {}
         for seed in dict.fromkeys(seed for _, seed in task.runs):
-            replanner = Replanner.for_scene(scene, self.settings.replanner_config(motion, seed))
-            try:
+            with closing(Replanner.for_scene(scene, self.settings.replanner_config(motion, seed))) as replanner:
                 for method in (method for method, its_seed in task.runs if its_seed == seed):
                     executed, decisions = _run(replanner, scene, motion, method, seen, n_held)
                     figures[method, seed] = evaluator.figures(method, seed, executed, decisions)
-            finally:
-                replanner.close()
         touched = any(run.contact is not None and run.method in PREDICTING for run in figures.values())
         goal_m = max(evaluator.distance_m(q, -1) for goal in scene.goals for q in goal.configurations)
         return PersonOutcome(

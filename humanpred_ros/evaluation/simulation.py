@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from humanpred_ros.evaluation.framework import LibrarySettings
 from humanpred_ros.evaluation.leave_one_out import LeaveOneOut
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
@@ -24,8 +26,10 @@ from humanpred_ros.planning.decision import ARRIVED, Decision
 from humanpred_ros.planning.replanner import Replanner
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR
+from humanpred_ros.recognition.classifier import check_trainable
 from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.robot.scene import Scene, load_scene
+from humanpred_ros.settings import setting
 
 
 def predicted(predictor: Predictor, motion: Motion, threshold: float, n_held: int = 0) -> Iterator[Occupancy]:
@@ -115,6 +119,18 @@ def nobody(grid: VoxelGrid, motion: Motion, n_held: int) -> Iterator[Occupancy]:
         yield Occupancy(grid, nothing, offset_ns * 1e-9)
 
 
+#: What the arm goes by: the predictor that it is told by (None: nobody), and what that is.
+METHODS: Mapping[str, tuple[str | None, str]] = MappingProxyType(
+    {
+        "ours": ("forecast", "the default predictor, forecast, with the classifier forest"),
+        "ours_p1": ("swept_volume", "P1's predictor, swept_volume, with the classifier gmm"),
+        "current": ("current", "current occupancy only: the body where it is now"),
+        "wait": ("current", "rests until the human's motion is over, then goes by the last posture"),
+        "basic": (None, "smoothness and obstacles only: knows of no human"),
+    }
+)
+
+
 @dataclass(frozen=True)
 class RunSettings:
     """How all runs are made.
@@ -139,6 +155,27 @@ class RunSettings:
     def replanner_config(self, motion: Motion, seed: int) -> ReplannerConfig:
         """Return the replanner's settings beside one motion."""
         return self.replanner.replaced(period_s=motion.duration_s / self.steps, seed=seed)
+
+
+class SimulationSettings(LibrarySettings):
+    """Settings of an evaluation of the arm beside recorded people."""
+
+    hold_out: int = setting(5, "motions of every class that are held out together; the first 5 in P1", low=0)
+    components: int = setting(GmmSettings().n_components, "gmm: Gaussians per class", low=1)
+
+    def material(self, how: RunSettings | None) -> tuple[MotionLibrary, RunSettings]:
+        """Return the library, and how runs are made: `how`, or as the settings say.
+
+        Raises:
+            LibraryFormatError: a library that nothing can be learned from.
+            HumanModelError: a library of other DoFs.
+        """
+        library = self.read_library()
+        gmm = GmmSettings(n_components=self.components, seed=self.seed)
+        how = how or RunSettings(gmm=gmm, hold_out=self.hold_out)
+        HumanModel.kinect12().check_dofs(library.dof_names)
+        check_trainable(training_library(library, how.hold_out))
+        return library, how
 
 
 class World:

@@ -22,11 +22,11 @@ import numpy as np
 from rich.console import Console
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.framework import Begin, Column, LibrarySettings, Report, Table, present
+from humanpred_ros.evaluation.framework import Begin, Column, Report, Table, present
 from humanpred_ros.evaluation.outputs import library_facts
 from humanpred_ros.evaluation.parallel import map_processes
 from humanpred_ros.evaluation.run_plots import draw_switching
-from humanpred_ros.evaluation.simulation import RunSettings, first_of_classes, group_of, training_library
+from humanpred_ros.evaluation.simulation import METHODS, RunSettings, SimulationSettings, first_of_classes, group_of
 from humanpred_ros.evaluation.switching_runs import (
     CURRENT,
     FIG9_VARIANTS,
@@ -40,10 +40,7 @@ from humanpred_ros.evaluation.switching_runs import (
     first_switch,
     variant_figures,
 )
-from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary
-from humanpred_ros.recognition.classifier import check_trainable
-from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.settings import setting
 
@@ -53,15 +50,13 @@ FIG9_BESIDE_LIBRARY = Path("reference") / "fig9_costs.csv"
 CONTESTED = "motions that take the goal the arm would choose"
 
 
-class SwitchingSettings(LibrarySettings):
+class SwitchingSettings(SimulationSettings):
     """Settings of `humanpred evaluate switching`."""
 
     scene: str = setting("face_to_face", "scene with two goals or more, name or YAML file")
     trajectory: str = setting("77", "motion of Fig. 9, class/index or running number; empty leaves it out")
     seeds: int = setting(10, "runs of Fig. 9", low=1)
     motions: int | None = setting(None, "show only so many first motions of every class; 0 none; all by default", low=0)
-    hold_out: int = setting(5, "motions of every class that are held out together; the first 5 in P1", low=0)
-    components: int = setting(GmmSettings().n_components, "gmm: Gaussians per class", low=1)
 
 
 def run(settings: SwitchingSettings, console: Console) -> int:
@@ -84,11 +79,7 @@ def measure(settings: SwitchingSettings, begin: Begin, run_settings: RunSettings
             f"scene {settings.scene}: wanted two goals or more to choose between, got {', '.join(goals)}; take "
             "another, like face_to_face"
         )
-    library = settings.read_library()
-    gmm = GmmSettings(n_components=settings.components, seed=settings.seed)
-    how = run_settings or RunSettings(gmm=gmm, hold_out=settings.hold_out)
-    HumanModel.kinect12().check_dofs(library.dof_names)
-    check_trainable(training_library(library, how.hold_out))
+    library, how = settings.material(run_settings)
     tasks = tasks_of(library, settings)
     advance = begin("motions", len(tasks))
     persons = map_processes(Choosing(library, how), tasks, settings.jobs, advance, settings.scheduler)
@@ -103,7 +94,7 @@ def measure(settings: SwitchingSettings, begin: Begin, run_settings: RunSettings
     variants = {title: [variant_figures(v, some, how.steps) for v in VARIANTS] for title, some in parts.items() if some}
     figures = {
         "library": library_facts(library, held_out_together=how.hold_out),
-        "variants_are": {name: what for name, (_, what) in VARIANTS.items()},
+        "variants_are": {name: METHODS[name][1] for name in VARIANTS},
         "shown_motions": shown,
         "goals": goals,
         "figure": figure,

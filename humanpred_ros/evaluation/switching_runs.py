@@ -5,13 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from humanpred_ros.evaluation.simulation import RunSettings, World, drive, nobody
+from humanpred_ros.evaluation.simulation import METHODS, RunSettings, World, drive, nobody
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.motion.motion import MotionLibrary
@@ -19,14 +19,8 @@ from humanpred_ros.planning.decision import Decision
 from humanpred_ros.planning.replanner import Replanner
 from humanpred_ros.robot.scene import Scene
 
-#: What choices are made by: predictor, and what that is.
-VARIANTS: Mapping[str, tuple[str, str]] = MappingProxyType(
-    {
-        "ours": ("forecast", "the default predictor, forecast, with the classifier forest"),
-        "ours_p1": ("swept_volume", "P1's predictor, swept_volume, with the classifier gmm"),
-        "current": ("current", "current occupancy only: the body where it is now"),
-    }
-)
+#: What choices are made by, of `METHODS`.
+VARIANTS = ("ours", "ours_p1", "current")
 CURRENT = "current"
 #: What choices are made by in P1's Fig. 9, by our names and those of its file.
 FIG9_VARIANTS = {"prediction": "prediction", "current": "current_occupancy"}
@@ -170,14 +164,14 @@ class Choosing:
         scene, motion = self.world.scene(task.scene), self.world.library.find(task.motion)
         # P1's last step comes after the last posture; by the stamps it is due a moment later.
         n_held = math.ceil(motion.duration_s / self.settings.steps / motion.period_s) + 1
-        seen = {variant: self.world.predictions(name, scene, motion, n_held) for variant, (name, _) in VARIANTS.items()}
+        told_by = {variant: str(METHODS[variant][0]) for variant in VARIANTS}
+        seen = {variant: self.world.predictions(name, scene, motion, n_held) for variant, name in told_by.items()}
         empty = next(nobody(scene.grid, motion, 0))
         swept = self.world.swept(scene, motion)
         runs: list[VariantRun] = []
         right = default = ""
         for seed in task.seeds:
-            replanner = Replanner.for_scene(scene, self.settings.replanner_config(motion, seed))
-            try:
+            with closing(Replanner.for_scene(scene, self.settings.replanner_config(motion, seed))) as replanner:
                 if not runs:
                     right, default = (_at_once(replanner, scene, known) for known in (swept, empty))
                 for variant, occupancies in seen.items():
@@ -185,8 +179,6 @@ class Choosing:
                     steps = step_costs(scene, decisions, replanner.config.period_s, self.settings.steps)
                     figures = ChoiceFigures.of([step.chosen for step in steps], right)
                     runs.append(VariantRun(variant, seed, steps, figures))
-            finally:
-                replanner.close()
         return Person(task.scene, task.motion, right, default, tuple(runs))
 
 
