@@ -65,36 +65,25 @@ class Avoidance:
     A policy is: stay at the start; go to a goal on a straight line, departing at some replanning step; go on a straight
     line to one of 200 places around the start and stay there. All within the planner's velocity and acceleration
     limits and clear of table and objects.
-
-    Attributes:
-        policy: the first that stays clear of the human, "" if none does: then the contact counts as unavoidable.
-        latest_departure_s: until when the arm could still depart by that policy; infinite if it need not move.
-        best_m: largest least distance of all policies tried.
-        tried: how many were.
     """
 
-    policy: str
-    latest_departure_s: float
-    best_m: float
-    tried: int
+    policy: str  #: the first that stays clear of the human, "" if none does: then the contact counts as unavoidable
+    latest_departure_s: float  #: until when the arm could still depart by that policy; infinite if it need not move
+    best_m: float  #: largest least distance of all policies tried
+    tried: int  #: how many were
 
 
 @dataclass(frozen=True)
 class PersonOutcome:
-    """What came of a task.
+    """What came of a task."""
 
-    Attributes:
-        runs: one for each of the task's.
-        goal_m: distance that the person, in the last posture, leaves an arm at a goal; at the goal where it is largest.
-        bound_m: no run that ends at a goal can keep a larger least distance: the arm is at its start when the person
-            is in the first posture, and at a goal when the person is in the last.
-        avoidance: whether a contact could have been avoided; None if no predicting method had one.
-    """
-
-    runs: tuple[RunFigures, ...]
+    runs: tuple[RunFigures, ...]  #: one for each of the task's
+    #: distance that the person, in the last posture, leaves an arm at a goal; at the goal where it is largest
     goal_m: float
+    #: no run that ends at a goal can keep a larger least distance: the arm is at its start when the person is in the
+    #: first posture, and at a goal when the person is in the last
     bound_m: float
-    avoidance: Avoidance | None
+    avoidance: Avoidance | None  #: whether a contact could have been avoided; None if no predicting method had one
 
 
 class Runs:

@@ -27,18 +27,13 @@ _EQUAL = 0.99999999
 
 
 class ReachDistance(NamedTuple):
-    """Distances of two reaches: metres, summed over the frames of the best time warping.
+    """Distances of two reaches: metres, summed over the frames of the best time warping."""
 
-    Attributes:
-        joint_m: of pelvis, torso, shoulder, elbow and wrist, summed.
-        task_as_coded_m: of the palm and its orientation as in the authors' code. A wrong sign makes it depend on the
-            absolute orientation: a reach is 10 to 33 from itself. Only this can be compared with P2's tables.
-        task_m: of the palm and its orientation, as meant: 0 for equal reaches.
-    """
-
-    joint_m: float
+    joint_m: float  #: of pelvis, torso, shoulder, elbow and wrist, summed
+    #: of the palm and its orientation as in the authors' code. A wrong sign makes it depend on the absolute
+    #: orientation: a reach is 10 to 33 from itself. Only this can be compared with P2's tables.
     task_as_coded_m: float
-    task_m: float
+    task_m: float  #: of the palm and its orientation, as meant: 0 for equal reaches
 
 
 def reach_distance(model: HumanModel, predicted: ArrayLike, real: ArrayLike) -> ReachDistance:

@@ -46,19 +46,13 @@ _LEAST_WAY_SHARE = 0.25
 
 @dataclass(frozen=True)
 class ReachingMaterial:
-    """What predictors may be made of.
+    """What predictors may be made of."""
 
-    Attributes:
-        recordings: to learn from.
-        model: the human.
-        weights: learned from them, by the names of `reaching_weights.LEARNING` and by recording.
-        surroundings: what stands where they were recorded.
-    """
-
-    recordings: Sequence[ReachRecording]
-    model: HumanModel
+    recordings: Sequence[ReachRecording]  #: to learn from
+    model: HumanModel  #: the human
+    #: learned from them, by the names of `reaching_weights.LEARNING` and by recording
     weights: Mapping[str, Mapping[str, FloatArray]] = field(default_factory=dict)
-    surroundings: Surroundings = field(default_factory=Surroundings.of_p2)
+    surroundings: Surroundings = field(default_factory=Surroundings.of_p2)  #: what stands where they were recorded
 
     def without(self, name: str) -> list[ReachRecording]:
         """Return all recordings except one; all of them if none has that name."""
@@ -67,21 +61,14 @@ class ReachingMaterial:
 
 @dataclass(frozen=True)
 class ReachingEntry:
-    """One predictor.
+    """One predictor."""
 
-    Attributes:
-        description: for people.
-        make: returns the predictor for a recording, by name; it knows all recordings except that one.
-        group: one of `GROUPS`.
-        learns: which of `reaching_weights.LEARNING` it needs, None if none.
-        step_s: time between plans; None where it plans once, or not at all.
-    """
-
-    description: str
+    description: str  #: for people
+    #: returns the predictor for a recording, by name; it knows all recordings except that one
     make: Callable[[ReachingMaterial, str], PredictsReaches]
-    group: str = TRIVIAL
-    learns: str | None = None
-    step_s: float | None = None
+    group: str = TRIVIAL  #: one of `GROUPS`
+    learns: str | None = None  #: which of `reaching_weights.LEARNING` it needs, None if none
+    step_s: float | None = None  #: time between plans; None where it plans once, or not at all
 
     @property
     def by_chance(self) -> bool:
@@ -101,16 +88,11 @@ class BowedLine:
     People bend the elbow and lift the hand first, and turn the shoulder late. The bow is what recorded reaches have
     beyond the minimum-jerk line between their ends. Like the height of an arc over its chord, it is taken to grow with
     the square of the distance the wrist goes.
-
-    Attributes:
-        profile: returns the share of the way (n,) at phases (n,) from 0 to 1.
-        model: the human; None without a bow.
-        shape: (P, J) bow at even phases of a reach whose wrist goes one metre.
     """
 
-    profile: Callable[[FloatArray], FloatArray]
-    model: HumanModel | None = None
-    shape: FloatArray | None = None
+    profile: Callable[[FloatArray], FloatArray]  #: returns the share of the way (n,) at phases (n,) from 0 to 1
+    model: HumanModel | None = None  #: the human; None without a bow
+    shape: FloatArray | None = None  #: (P, J) bow at even phases of a reach whose wrist goes one metre
 
     def predict(self, task: ReachTask, rng: np.random.Generator) -> FloatArray:
         """Return the postures (n, J), ends exact; nothing is random."""

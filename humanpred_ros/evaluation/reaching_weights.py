@@ -63,21 +63,13 @@ def spread(values: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class LearnedWeights:
-    """What was learned in one way, and how certain it is.
+    """What was learned in one way, and how certain it is."""
 
-    Attributes:
-        everything: the weights from all recordings, with bootstrap and provenance.
-        each: (24,) by recording: learned from all others; with `ALONE` from that one.
-        notes: what learning reported about the recordings.
-        learn_s: time that `everything` took: samples, their features, weights and bootstrap.
-        processor_s: the same as processor time, which other work on the machine changes less.
-    """
-
-    everything: ReachWeights
-    each: Mapping[str, FloatArray]
-    notes: tuple[str, ...]
-    learn_s: float
-    processor_s: float
+    everything: ReachWeights  #: the weights from all recordings, with bootstrap and provenance
+    each: Mapping[str, FloatArray]  #: (24,) by recording: learned from all others; with `ALONE` from that one
+    notes: tuple[str, ...]  #: what learning reported about the recordings
+    learn_s: float  #: time that `everything` took: samples, their features, weights and bootstrap
+    processor_s: float  #: the same as processor time, which other work on the machine changes less
 
 
 def learn_all(

@@ -31,73 +31,50 @@ _CLOSING_S = 0.1
 
 @dataclass(frozen=True)
 class Contact:
-    """The first moment at which the arm's spheres touch the human's body in a run.
+    """The first moment at which the arm's spheres touch the human's body in a run."""
 
-    Attributes:
-        t_s: data time.
-        deepest_m: least distance of the spheres in the whole run, negative.
-        surface_m: the same for points on the arm's surface. If it is positive, only the spheres, which contain the
-            arm and stick out by up to 0.06 m, touched, and perhaps not the arm.
-        robot_link, human_body: parts that touch first.
-        closed_by_human_m, closed_by_arm_m: by how much each came closer in the last 0.1 s before.
-        moved: "human", "arm" or "both": who came closer by more than a quarter of the sum.
-    """
-
-    t_s: float
-    deepest_m: float
+    t_s: float  #: data time
+    deepest_m: float  #: least distance of the spheres in the whole run, negative
+    #: the same for points on the arm's surface. If it is positive, only the spheres, which contain the arm and stick
+    #: out by up to 0.06 m, touched, and perhaps not the arm.
     surface_m: float
-    robot_link: str
+    robot_link: str  #: parts that touch first
     human_body: str
-    closed_by_human_m: float
+    closed_by_human_m: float  #: by how much each came closer in the last 0.1 s before
     closed_by_arm_m: float
-    moved: str
+    moved: str  #: "human", "arm" or "both": who came closer by more than a quarter of the sum
 
 
 @dataclass(frozen=True)
 class RunFigures:
-    """One run.
+    """One run."""
 
-    Attributes:
-        scene, motion, method, seed: which.
-        cost: human occupancy integrated over the executed motion, under P1's final prediction, with 0.002 per unit of
-            its length (Table I).
-        cost_swept: the same under the voxels that the body really swept.
-        length: of the executed motion, configuration distance.
-        goal: reached at the end, None if none.
-        time_to_goal_s: from the human's first posture to rest at the goal; infinite if none is reached.
-        execution_s: from the arm's departure to rest; 0 if it never departs.
-        clearance_m, clearance_to: least distance of the arm's spheres to table and objects, and which.
-        least_distance_m: of the arm's spheres to the human's body at any posture, negative in contact.
-        least_distance_s: when.
-        contact: the first, None if there is none.
-        steps, replans, switches, holds, evasions: replanning steps; of all decisions, those that sent the arm on,
-            changed its goal, stopped it, and took it out of the person's way.
-        ended: last decision, with its reason.
-        step_ms: median time a replanning step took; machine-dependent.
-    """
-
-    scene: str
+    scene: str  #: which
     motion: str
     method: str
     seed: int
+    #: human occupancy integrated over the executed motion, under P1's final prediction, with 0.002 per unit of its
+    #: length (Table I)
     cost: float
-    cost_swept: float
-    length: float
-    goal: str | None
-    time_to_goal_s: float
-    execution_s: float
-    clearance_m: float
+    cost_swept: float  #: the same under the voxels that the body really swept
+    length: float  #: of the executed motion, configuration distance
+    goal: str | None  #: reached at the end, None if none
+    time_to_goal_s: float  #: from the human's first posture to rest at the goal; infinite if none is reached
+    execution_s: float  #: from the arm's departure to rest; 0 if it never departs
+    clearance_m: float  #: least distance of the arm's spheres to table and objects, and which
     clearance_to: str
-    least_distance_m: float
-    least_distance_s: float
-    contact: Contact | None
+    least_distance_m: float  #: of the arm's spheres to the human's body at any posture, negative in contact
+    least_distance_s: float  #: when
+    contact: Contact | None  #: the first, None if there is none
+    #: replanning steps; of all decisions, those that sent the arm on, changed its goal, stopped it, and took it out of
+    #: the person's way
     steps: int
     replans: int
     switches: int
     holds: int
     evasions: int
-    ended: str
-    step_ms: float
+    ended: str  #: last decision, with its reason
+    step_ms: float  #: median time a replanning step took; machine-dependent
 
 
 class RunEvaluator:

@@ -133,23 +133,16 @@ METHODS: Mapping[str, tuple[str | None, str]] = MappingProxyType(
 
 @dataclass(frozen=True)
 class RunSettings:
-    """How all runs are made.
+    """How all runs are made."""
 
-    Attributes:
-        replanner: of the arm; period and seed are set for each run. One thread: processes fill the cores.
-        steps: replanning steps per human motion (P1: 20, so 5 % each).
-        threshold: voxels at or below this probability do not reach the planner.
-        hold_s: how long the human stays at the end, for the arm to arrive; a later arrival does not count.
-        gmm: settings of P1's mixtures.
-        hold_out: so many motions of every class are held out together: P1 learns nothing from the first 5 of each.
-            The same goes for those that follow: beside motion 7, all but motions 5 to 9 were learned from.
-    """
-
+    #: of the arm; period and seed are set for each run. One thread: processes fill the cores.
     replanner: ReplannerConfig = field(default_factory=lambda: ReplannerConfig(threads=1))
-    steps: int = 20
-    threshold: float = 0.001
-    hold_s: float = 4.0
-    gmm: GmmSettings = field(default_factory=GmmSettings)
+    steps: int = 20  #: replanning steps per human motion (P1: 20, so 5 % each)
+    threshold: float = 0.001  #: voxels at or below this probability do not reach the planner
+    hold_s: float = 4.0  #: how long the human stays at the end, for the arm to arrive; a later arrival does not count
+    gmm: GmmSettings = field(default_factory=GmmSettings)  #: settings of P1's mixtures
+    #: so many motions of every class are held out together: P1 learns nothing from the first 5 of each. The same goes
+    #: for those that follow: beside motion 7, all but motions 5 to 9 were learned from.
     hold_out: int = 5
 
     def replanner_config(self, motion: Motion, seed: int) -> ReplannerConfig:

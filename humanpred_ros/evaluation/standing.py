@@ -45,16 +45,11 @@ _SWAY_HZ = (0.05, 0.5)
 
 @dataclass(frozen=True)
 class Span:
-    """When something moved.
+    """When something moved."""
 
-    Attributes:
-        onset_s, end_s: in the motion's own stamps; the first and last stamp if it moved there already or still.
-        peak_mps: greatest speed of the palm.
-    """
-
-    onset_s: float
+    onset_s: float  #: in the motion's own stamps; the first and last stamp if it moved there already or still
     end_s: float
-    peak_mps: float
+    peak_mps: float  #: greatest speed of the palm
 
 
 def motion_span(t_s: FloatArray, palm_m: FloatArray) -> Span:
@@ -110,17 +105,11 @@ def _smoothed(t_s: FloatArray, palm_m: FloatArray) -> tuple[FloatArray, FloatArr
 
 @dataclass(frozen=True)
 class Rest:
-    """A stretch of a recording in which the person stood still.
+    """A stretch of a recording in which the person stood still."""
 
-    Attributes:
-        index: number of the motion within its class: in libraries recorded round by round, the round.
-        step_s: (n,) time from the frame before to each frame.
-        deviation: (n, D) postures less the straight line through them: their drift is part of the sway.
-    """
-
-    index: int
-    step_s: FloatArray
-    deviation: FloatArray
+    index: int  #: number of the motion within its class: in libraries recorded round by round, the round
+    step_s: FloatArray  #: (n,) time from the frame before to each frame
+    deviation: FloatArray  #: (n, D) postures less the straight line through them: their drift is part of the sway
 
 
 @dataclass(frozen=True)
@@ -130,16 +119,11 @@ class StandingNoise:
     A block bootstrap: whole recorded rests follow each other in random order, forwards or backwards, with their
     mistracked frames and at their own stamps. Where two of them meet, the deviation jumps as much as the noise does
     (that is harder on a detector than the real thing). Slow sway of the whole body is added.
-
-    Attributes:
-        rests: from which noise is drawn.
-        dof_names: of the postures' columns.
-        sway: factor of the sway.
     """
 
-    rests: tuple[Rest, ...]
-    dof_names: tuple[str, ...]
-    sway: float = 1.0
+    rests: tuple[Rest, ...]  #: from which noise is drawn
+    dof_names: tuple[str, ...]  #: of the postures' columns
+    sway: float = 1.0  #: factor of the sway
 
     def near(self, index: int) -> StandingNoise:
         """Return the noise of one recording round: its own rests, or, until there are enough, the nearest rounds'.

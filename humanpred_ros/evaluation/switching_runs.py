@@ -39,50 +39,31 @@ class SwitchTask:
 
 @dataclass(frozen=True)
 class StepCosts:
-    """One replanning step.
+    """One replanning step."""
 
-    Attributes:
-        step: from 1.
-        t_s: data time of the posture it follows from.
-        costs: what the goals were compared by, by name; NaN where no plan was needed (the arm is at another goal)
-            or none is possible.
-        barred: why a goal could not be chosen whatever it costs, by name; without those that could.
-        chosen: the goal worked on after it, None if that is none of the scene's.
-        action: of the decision.
-    """
-
-    step: int
-    t_s: float
+    step: int  #: from 1
+    t_s: float  #: data time of the posture it follows from
+    #: what the goals were compared by, by name; NaN where no plan was needed (the arm is at another goal) or none is
+    #: possible
     costs: dict[str, float]
-    barred: dict[str, str]
-    chosen: str | None
-    action: str
+    barred: dict[str, str]  #: why a goal could not be chosen whatever it costs, by name; without those that could
+    chosen: str | None  #: the goal worked on after it, None if that is none of the scene's
+    action: str  #: of the decision
 
 
 @dataclass(frozen=True)
 class ChoiceFigures:
-    """One run's choices, one for each step from 1; a step that chooses no goal is skipped.
+    """One run's choices, one for each step from 1; a step that chooses no goal is skipped."""
 
-    Attributes:
-        first, last: goals chosen first and last; None if none ever was.
-        switches: changes from one goal to another.
-        first_switch: step of the first of them, None if there is none.
-        settled: step in which the final choice was made: from it on nothing changes; 1 if nothing ever did.
-        returns: changes to a goal that had been chosen and left before. A - B - A is one: back and forth.
-        right: whether the last choice is the right one.
-        decided: step since when the right goal is chosen up to the end, None if the last choice is wrong.
-        wrong_first: whether the first choice is wrong.
-    """
-
-    first: str | None
+    first: str | None  #: goals chosen first and last; None if none ever was
     last: str | None
-    switches: int
-    first_switch: int | None
-    settled: int
-    returns: int
-    right: bool
-    decided: int | None
-    wrong_first: bool
+    switches: int  #: changes from one goal to another
+    first_switch: int | None  #: step of the first of them, None if there is none
+    settled: int  #: step in which the final choice was made: from it on nothing changes; 1 if nothing ever did
+    returns: int  #: changes to a goal that had been chosen and left before. A - B - A is one: back and forth.
+    right: bool  #: whether the last choice is the right one
+    decided: int | None  #: step since when the right goal is chosen up to the end, None if the last choice is wrong
+    wrong_first: bool  #: whether the first choice is wrong
 
     @classmethod
     def of(cls, choices: Sequence[str | None], right: str) -> ChoiceFigures:
@@ -122,20 +103,13 @@ class VariantRun:
 
 @dataclass(frozen=True)
 class Person:
-    """What the arm chose beside one person.
+    """What the arm chose beside one person."""
 
-    Attributes:
-        scene, motion: which.
-        right: the goal that the same planner chooses at once if it is told what the body is going to sweep.
-        default: the goal it chooses if nobody is there.
-        runs: by variant and seed.
-    """
-
-    scene: str
+    scene: str  #: which
     motion: str
-    right: str
-    default: str
-    runs: tuple[VariantRun, ...]
+    right: str  #: the goal that the same planner chooses at once if it is told what the body is going to sweep
+    default: str  #: the goal it chooses if nobody is there
+    runs: tuple[VariantRun, ...]  #: by variant and seed
 
     @property
     def conflict(self) -> bool:
@@ -232,21 +206,13 @@ def first_switch(costs: Sequence[Sequence[float]] | FloatArray) -> int | None:
 
 
 class Curve(NamedTuple):
-    """The goals' costs in one run, as in P1's Fig. 9.
+    """The goals' costs in one run, as in P1's Fig. 9."""
 
-    Attributes:
-        title: what the choices are made by.
-        goals: names.
-        costs: (N, goals) by step; NaN where there are none.
-        chosen: (N,) number of the goal worked on after each step, -1 for none.
-        switch: step of the first switch, None if there is none.
-    """
-
-    title: str
-    goals: Sequence[str]
-    costs: FloatArray
-    chosen: Sequence[int]
-    switch: int | None
+    title: str  #: what the choices are made by
+    goals: Sequence[str]  #: names
+    costs: FloatArray  #: (N, goals) by step; NaN where there are none
+    chosen: Sequence[int]  #: (N,) number of the goal worked on after each step, -1 for none
+    switch: int | None  #: step of the first switch, None if there is none
 
 
 def curves(person: Person, goals: Sequence[str], published: Mapping[str, Any] | None) -> list[Curve]:

@@ -32,21 +32,17 @@ _TRANSLATION_M, _PELVIS_RAD = 0.02, 0.05
 class PostureBounds:
     """Least and greatest value of each DoF.
 
-    Attributes:
-        lower, upper: (J,) metres and radians.
-        free: (J,) rotations without bounds; they may go half a turn beyond both ends of the reach.
-        dof_names: J names, for messages; none if left out.
-        beyond: (2, J) how far a reach may go below the lower and above the upper of its two ends; `lower` and `upper`
-            then only tell whether a goal is plausible. None to bound by `lower` and `upper`.
-
     Raises:
         MotionError: arrays that do not fit each other.
     """
 
-    lower: FloatArray
+    lower: FloatArray  #: (J,) metres and radians
     upper: FloatArray
+    #: (J,) rotations without bounds; they may go half a turn beyond both ends of the reach
     free: np.ndarray[tuple[int], np.dtype[np.bool_]]
-    dof_names: tuple[str, ...] = ()
+    dof_names: tuple[str, ...] = ()  #: J names, for messages; none if left out
+    #: (2, J) how far a reach may go below the lower and above the upper of its two ends; `lower` and `upper` then only
+    #: tell whether a goal is plausible. None to bound by `lower` and `upper`.
     beyond: FloatArray | None = None
 
     def __post_init__(self) -> None:

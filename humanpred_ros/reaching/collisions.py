@@ -44,17 +44,11 @@ DOUBTFUL_M = 0.05
 
 @dataclass(frozen=True)
 class Touch:
-    """A body of the reaching person that is inside something in a demonstration.
+    """A body of the reaching person that is inside something in a demonstration."""
 
-    Attributes:
-        body: of the reaching person.
-        obstacle: its name, or `partner's <body>`.
-        depth_m: how deep at most.
-    """
-
-    body: str
-    obstacle: str
-    depth_m: float
+    body: str  #: of the reaching person
+    obstacle: str  #: its name, or `partner's <body>`
+    depth_m: float  #: how deep at most
 
     def __str__(self) -> str:
         return f"{self.body.replace('_', ' ')} {100.0 * self.depth_m:.1f} cm in {self.obstacle.replace('_', ' ')}"

@@ -46,21 +46,13 @@ class SamplingSettings(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """A reach, or the rest of it after a cut, resampled evenly in time.
+    """A reach, or the rest of it after a cut, resampled evenly in time."""
 
-    Attributes:
-        recording: name of the recording it is from.
-        first_frame: frame of the recording it begins at, 0 for a whole reach.
-        q: (N, J) postures.
-        situation: duration, partner at the first frame, and the postures before it.
-        partner: (J,) posture of the partner at the first frame; None if there is none.
-    """
-
-    recording: str
-    first_frame: int
-    q: FloatArray
-    situation: ReachSituation
-    partner: FloatArray | None = None
+    recording: str  #: name of the recording it is from
+    first_frame: int  #: frame of the recording it begins at, 0 for a whole reach
+    q: FloatArray  #: (N, J) postures
+    situation: ReachSituation  #: duration, partner at the first frame, and the postures before it
+    partner: FloatArray | None = None  #: (J,) posture of the partner at the first frame; None if there is none
 
     @property
     def name(self) -> str:

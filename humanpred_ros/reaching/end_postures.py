@@ -45,17 +45,11 @@ _ITERATIONS = 20
 
 @dataclass(frozen=True, eq=False)
 class EndPosture:
-    """The Gaussian of postures in which a reach to a place ends.
+    """The Gaussian of postures in which a reach to a place ends."""
 
-    Attributes:
-        mean: (D,) the most probable one; angles follow from the start posture without a jump.
-        covariance: (D, D).
-        miss_m: how far its hand is from the place.
-    """
-
-    mean: FloatArray
-    covariance: FloatArray
-    miss_m: float
+    mean: FloatArray  #: (D,) the most probable one; angles follow from the start posture without a jump
+    covariance: FloatArray  #: (D, D)
+    miss_m: float  #: how far its hand is from the place
 
 
 class EndPostures:

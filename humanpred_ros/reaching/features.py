@@ -86,18 +86,14 @@ CLOSENESS_HEIGHT, CLOSENESS_DECAY_PER_M, CLOSENESS_CUTOFF_M = 5.0, float(np.log(
 class ReachSituation:
     """What the features of a reach depend on besides its postures.
 
-    Attributes:
-        duration_s: from the first to the last waypoint.
-        partner_m: (4, 3) `LINK_POINTS` of the partner, who stands still (P2 III-A).
-        history: (6, J) postures before the first waypoint, at the spacing of the waypoints, the latest last; None for a
-            person who was at rest.
-
     Raises:
         MotionError: a duration that is not positive, or arrays of other shapes.
     """
 
-    duration_s: float
-    partner_m: FloatArray
+    duration_s: float  #: from the first to the last waypoint
+    partner_m: FloatArray  #: (4, 3) `LINK_POINTS` of the partner, who stands still (P2 III-A)
+    #: (6, J) postures before the first waypoint, at the spacing of the waypoints, the latest last; None for a person
+    #: who was at rest
     history: FloatArray | None = None
 
     def __post_init__(self) -> None:

@@ -54,36 +54,22 @@ class PiirlSettings(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Contrast:
-    """A demonstration and what it is distinguished from.
+    """A demonstration and what it is distinguished from."""
 
-    Attributes:
-        demonstration: its name.
-        recording: the recording it is from.
-        differences: (K, 24) features of its samples minus its own.
-        discarded: how many more samples were drawn that collided.
-        touches: where the demonstration itself is inside something, the deepest first.
-    """
-
-    demonstration: str
-    recording: str
-    differences: FloatArray
-    discarded: int = 0
-    touches: tuple[Touch, ...] = ()
+    demonstration: str  #: its name
+    recording: str  #: the recording it is from
+    differences: FloatArray  #: (K, 24) features of its samples minus its own
+    discarded: int = 0  #: how many more samples were drawn that collided
+    touches: tuple[Touch, ...] = ()  #: where the demonstration itself is inside something, the deepest first
 
 
 @dataclass(frozen=True, eq=False)
 class PiirlSolution:
-    """Learned weights.
+    """Learned weights."""
 
-    Attributes:
-        weights: (24,) for the features of `ReachFeatures`.
-        loss: at the weights.
-        at_upper: (24,) true where a weight was stopped by its upper bound.
-    """
-
-    weights: FloatArray
-    loss: float
-    at_upper: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    weights: FloatArray  #: (24,) for the features of `ReachFeatures`
+    loss: float  #: at the weights
+    at_upper: np.ndarray[tuple[int], np.dtype[np.bool_]]  #: (24,) true where a weight was stopped by its upper bound
 
 
 def contrasts(

@@ -56,17 +56,13 @@ class PlaceSettings(Settings):
 class PlaceModel:
     """How much the parts of the excess cost count.
 
-    Attributes:
-        weights: (N_PARTS,) not negative, of `PARTS`: 1/m, but no unit for the headings.
-        n_motions: how many motions were learned from; 0 if the weights are the prior ones.
-        ends: in which posture reaches end, from which best reaches of the whole body follow; None if unknown.
-
     Raises:
         ArrayError: wrong shape, not finite, or of the wrong sign.
     """
 
-    weights: FloatArray
-    n_motions: int = 0
+    weights: FloatArray  #: (N_PARTS,) not negative, of `PARTS`: 1/m, but no unit for the headings
+    n_motions: int = 0  #: how many motions were learned from; 0 if the weights are the prior ones
+    #: in which posture reaches end, from which best reaches of the whole body follow; None if unknown
     ends: EndPostures | None = None
 
     def __post_init__(self) -> None:
@@ -109,17 +105,11 @@ def unknown_probability(listed: FloatArray, unlisted: FloatArray, prior: float) 
 
 @dataclass(frozen=True, eq=False)
 class ReachLesson:
-    """What there is to learn from one motion.
+    """What there is to learn from one motion."""
 
-    Attributes:
-        end: where it went.
-        rows: (n, N_COLUMNS) of `excess_cost`, at evenly spaced postures.
-        q: (T, D) all its postures, angles continuous.
-    """
-
-    end: ReachEnd
-    rows: FloatArray
-    q: FloatArray
+    end: ReachEnd  #: where it went
+    rows: FloatArray  #: (n, N_COLUMNS) of `excess_cost`, at evenly spaced postures
+    q: FloatArray  #: (T, D) all its postures, angles continuous
 
 
 def reach_lessons(library: MotionLibrary, human: HumanModel, settings: PlaceSettings) -> tuple[ReachLesson, ...]:

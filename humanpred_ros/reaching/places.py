@@ -52,17 +52,13 @@ _RATIO = 1.0 / 1.22074408460575947536 ** np.arange(1, 4)
 class Places:
     """Places of the palm that a person may reach for: immutable.
 
-    Attributes:
-        labels: G different labels, as those of a library's classes.
-        places_m: (G, 3) where the palm goes, tracker's frame.
-
     Raises:
         UsageError: no place, a label given twice, or numbers that no room has.
         ArrayError: wrong shape, or places that are not finite.
     """
 
-    labels: tuple[int, ...]
-    places_m: FloatArray
+    labels: tuple[int, ...]  #: G different labels, as those of a library's classes
+    places_m: FloatArray  #: (G, 3) where the palm goes, tracker's frame
 
     def __post_init__(self) -> None:
         labels = tuple(int(label) for label in self.labels)
@@ -198,19 +194,12 @@ def _read(entry: str) -> tuple[int, FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class ReachEnd:
-    """Where one motion's palm was farthest from its start.
+    """Where one motion's palm was farthest from its start."""
 
-    Attributes:
-        name: of the motion, `class/index`.
-        label: its class, None if it has none.
-        place_m: (3,) tracker's frame.
-        tracked: False if the motion is mistracked or mislabelled (`motion.cleaning`).
-    """
-
-    name: str
-    label: int | None
-    place_m: FloatArray
-    tracked: bool
+    name: str  #: of the motion, `class/index`
+    label: int | None  #: its class, None if it has none
+    place_m: FloatArray  #: (3,) tracker's frame
+    tracked: bool  #: False if the motion is mistracked or mislabelled (`motion.cleaning`)
 
 
 def reach_ends(library: MotionLibrary, human: HumanModel) -> tuple[ReachEnd, ...]:
@@ -256,17 +245,14 @@ def typical_end(ends: Sequence[ReachEnd]) -> FloatArray:
 class UnlistedPlaces:
     """Places as seen from a body, spread over where hands may go: what "none of the places" means.
 
-    Attributes:
-        human: whose body.
-        seen_m: (M, 3) from the pelvis, x where it looks, z up; ordered from one side of the body to the other.
-        share: (M,) how probable each is before a reach begins, given that it is one of them; positive, with sum 1.
-
     Raises:
         ArrayError: arrays of another shape, or shares that are not such.
     """
 
-    human: HumanModel
+    human: HumanModel  #: whose body
+    #: (M, 3) from the pelvis, x where it looks, z up; ordered from one side of the body to the other
     seen_m: FloatArray
+    #: (M,) how probable each is before a reach begins, given that it is one of them; positive, with sum 1
     share: FloatArray
 
     def __post_init__(self) -> None:

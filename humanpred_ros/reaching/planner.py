@@ -65,32 +65,20 @@ class ReachPlannerSettings(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Partner:
-    """The person beside the reaching one, in the posture of one moment.
+    """The person beside the reaching one, in the posture of one moment."""
 
-    Attributes:
-        points_m: (4, 3) of `LINK_POINTS`, for the features.
-        field: distances to table and partner.
-    """
-
-    points_m: FloatArray
-    field: SignedDistanceField
+    points_m: FloatArray  #: (4, 3) of `LINK_POINTS`, for the features
+    field: SignedDistanceField  #: distances to table and partner
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedReach:
-    """A planned reach.
+    """A planned reach."""
 
-    Attributes:
-        q: (N, J) postures, evenly in time.
-        duration_s: from the first to the last.
-        cost: shares of the cost: posture, body (wrist, partner and obstacles).
-        total: their sum.
-    """
-
-    q: FloatArray
-    duration_s: float
-    cost: dict[str, float]
-    total: float
+    q: FloatArray  #: (N, J) postures, evenly in time
+    duration_s: float  #: from the first to the last
+    cost: dict[str, float]  #: shares of the cost: posture, body (wrist, partner and obstacles)
+    total: float  #: their sum
 
     def at(self, t_s: ArrayLike) -> FloatArray:
         """Return the postures (T, J) at times (T,) since the reach's start; before it the first, after it the last."""
@@ -217,23 +205,16 @@ def unit_deviation(n_waypoints: int) -> float:
 class ReachTask:
     """One reach to predict. As in P2, the predictor knows the goal posture and the duration.
 
-    Attributes:
-        name: of the recording.
-        dof_names: J names.
-        t_s: (n,) stamps, seconds since the reach's start, at which the prediction is wanted.
-        start, goal: (J,) first and last posture; angles continuous from one to the other as the person went.
-        partner: who sits beside, at the same stamps. A predictor must not look at a posture later than the moment it
-            predicts at.
-
     Raises:
         MotionError: arrays that do not fit each other.
     """
 
-    name: str
-    dof_names: tuple[str, ...]
-    t_s: FloatArray
-    start: FloatArray
+    name: str  #: of the recording
+    dof_names: tuple[str, ...]  #: J names
+    t_s: FloatArray  #: (n,) stamps, seconds since the reach's start, at which the prediction is wanted
+    start: FloatArray  #: (J,) first and last posture; angles continuous from one to the other as the person went
     goal: FloatArray
+    #: who sits beside, at the same stamps. A predictor must not look at a posture later than the moment it predicts at.
     partner: Motion
 
     def __post_init__(self) -> None:
@@ -275,16 +256,12 @@ class PredictsReaches(Protocol):
 class PlannedPrediction:
     """Predicts a reach by one plan beside the partner's first posture, or by a plan every `step_s`.
 
-    Attributes:
-        planner: plans the reaches.
-        step_s: time between plans; None to plan once.
-
     Raises:
         PlanningError: a step that is not positive.
     """
 
-    planner: ReachPlanner
-    step_s: float | None = None
+    planner: ReachPlanner  #: plans the reaches
+    step_s: float | None = None  #: time between plans; None to plan once
 
     def __post_init__(self) -> None:
         if self.step_s is not None and not self.step_s > 0.0:

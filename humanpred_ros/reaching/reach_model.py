@@ -44,16 +44,13 @@ _MEDIAN_SQUARE = 0.4549
 class ReachShape:
     """Bow and variation of reaches between their ends; the pelvis' way is relative to where the body looks.
 
-    Attributes:
-        bow: (N_SHARES, D) what a reach whose hand goes one metre has beyond the straight line, by share of the way.
-        variation: (D, D) covariance of what it has beyond that in the middle.
-
     Raises:
         MotionError: arrays that do not fit each other.
     """
 
+    #: (N_SHARES, D) what a reach whose hand goes one metre has beyond the straight line, by share of the way
     bow: FloatArray
-    variation: FloatArray
+    variation: FloatArray  #: (D, D) covariance of what it has beyond that in the middle
 
     def __post_init__(self) -> None:
         bow = checked("reach shape: bow", self.bow, (N_SHARES, "D"), error=MotionError)
@@ -125,24 +122,16 @@ class ReachShape:
 class ReachModel:
     """How people reach, to whatever place: immutable.
 
-    Attributes:
-        ends: the posture in which a reach to a place ends.
-        shape: what a reach looks like between its ends.
-        rest_deviation: (D,) by how much the posture after a return differs from the one before the reach.
-        returning: share of the motions that come back.
-        pace_s_m: duration of a reach for each metre of the hand's way.
-        trained_on: names of the motions learned from.
-
     Raises:
         MotionError: arrays or numbers that do not fit.
     """
 
-    ends: EndPostures
-    shape: ReachShape
-    rest_deviation: FloatArray
-    returning: float
-    pace_s_m: float
-    trained_on: tuple[str, ...] = ()
+    ends: EndPostures  #: the posture in which a reach to a place ends
+    shape: ReachShape  #: what a reach looks like between its ends
+    rest_deviation: FloatArray  #: (D,) by how much the posture after a return differs from the one before the reach
+    returning: float  #: share of the motions that come back
+    pace_s_m: float  #: duration of a reach for each metre of the hand's way
+    trained_on: tuple[str, ...] = ()  #: names of the motions learned from
 
     def __post_init__(self) -> None:
         D = len(self.human.dof_names)

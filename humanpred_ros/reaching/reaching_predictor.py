@@ -46,21 +46,13 @@ _N_POSTURES = 50
 
 @dataclass(frozen=True, eq=False)
 class ReachKnowledge:
-    """All that is learned for the predictor `reaching`.
+    """All that is learned for the predictor `reaching`."""
 
-    Attributes:
-        model: how people reach.
-        place_model: how to tell the place.
-        places: where the library's classes end, tracker's frame; None if it has no classes.
-        source: name of the library.
-        left_out: names of the motions that were not learned from, because they are mistracked.
-    """
-
-    model: ReachModel
-    place_model: PlaceModel
-    places: Places | None
-    source: str
-    left_out: tuple[str, ...] = ()
+    model: ReachModel  #: how people reach
+    place_model: PlaceModel  #: how to tell the place
+    places: Places | None  #: where the library's classes end, tracker's frame; None if it has no classes
+    source: str  #: name of the library
+    left_out: tuple[str, ...] = ()  #: names of the motions that were not learned from, because they are mistracked
 
     @classmethod
     def of_library(cls, library: MotionLibrary, human: HumanModel) -> ReachKnowledge:

@@ -43,19 +43,14 @@ _AROUND_M = 0.6
 class Surroundings:
     """Fixed obstacles in the frame of the recordings, with the distances to them: immutable.
 
-    Attributes:
-        obstacles: with a name each; may be none.
-        lower_m, upper_m: (3,) corners of the region in which distances are known.
-        resolution_m: of the lattice of distances.
-
     Raises:
         SceneError: an empty region.
     """
 
-    obstacles: tuple[Obstacle, ...]
-    lower_m: FloatArray
+    obstacles: tuple[Obstacle, ...]  #: with a name each; may be none
+    lower_m: FloatArray  #: (3,) corners of the region in which distances are known
     upper_m: FloatArray
-    resolution_m: float = RESOLUTION_M
+    resolution_m: float = RESOLUTION_M  #: of the lattice of distances
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "obstacles", tuple(self.obstacles))
@@ -175,17 +170,11 @@ def lower_to_capsules(
 
 @dataclass(frozen=True, eq=False)
 class BodyCapsules:
-    """Capsules fixed to the links of one human.
+    """Capsules fixed to the links of one human."""
 
-    Attributes:
-        links: K names.
-        ends_m: (K, 2, 3) both ends of each capsule's bone, in its link's frame.
-        radius_m: (K,).
-    """
-
-    links: tuple[str, ...]
-    ends_m: FloatArray
-    radius_m: FloatArray
+    links: tuple[str, ...]  #: K names
+    ends_m: FloatArray  #: (K, 2, 3) both ends of each capsule's bone, in its link's frame
+    radius_m: FloatArray  #: (K,)
 
     @classmethod
     def of(cls, model: HumanModel, names: Iterable[str] | None = None) -> BodyCapsules:

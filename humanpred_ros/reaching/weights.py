@@ -28,21 +28,16 @@ FORMAT, FORMAT_VERSION = "humanpred_ros reach weights", 2
 class ReachWeights:
     """Learned weights of the features: immutable.
 
-    Attributes:
-        weights: (24,) of `FEATURE_NAMES`.
-        bootstrap: (B, 24) weights learned from recordings drawn with replacement; their scatter says how certain a
-            weight is. B is 0 if there was only one recording.
-        at_upper: names of the weights that were stopped by their bound; the data ask for larger ones.
-        provenance: what was learned from, how, and by which version.
-
     Raises:
         MotionError: arrays of another shape, or negative weights.
     """
 
-    weights: FloatArray
+    weights: FloatArray  #: (24,) of `FEATURE_NAMES`
+    #: (B, 24) weights learned from recordings drawn with replacement; their scatter says how certain a weight is. B is
+    #: 0 if there was only one recording.
     bootstrap: FloatArray
-    at_upper: tuple[str, ...]
-    provenance: Mapping[str, Any]
+    at_upper: tuple[str, ...]  #: names of the weights that were stopped by their bound; the data ask for larger ones
+    provenance: Mapping[str, Any]  #: what was learned from, how, and by which version
 
     def __post_init__(self) -> None:
         weights = checked("weights", self.weights, (N_FEATURES,), error=MotionError)
