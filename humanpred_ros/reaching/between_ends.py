@@ -1,10 +1,15 @@
-"""How far each DoF of a predicted reach may go, and how much people vary it: learned from recordings.
+"""The way between the two ends of a reach: how far each DoF may go, how much people vary it, and what to begin with.
 
 P2 bounds each DoF by what the demonstrations did, with margins (docs/papers.md, "P2 prediction"). For the pelvis these
 are bounds in the room. People stand elsewhere from reach to reach, so such bounds say where they stood rather than how
 far a reach moves them: P2's seven people stay within 0.01 m of the way from their first to their last place and stood
 0.2 m apart, and a planner lets the trunk drift through that room. Bounds relative to the ends of the reach say how far
 a reach moves people, wherever they stand.
+
+STOMP stays near its first guess, so a good one matters more than good weights. P2 begins with the straight line in
+posture space, at constant speed. The angles of a shoulder are no coordinates to go straight in, though: far from small
+angles they change a lot where the arm moves little, and the elbow swings out. Turning the shoulder's rotation about one
+axis, with minimum-jerk timing, is nearer to what people do.
 """
 
 from __future__ import annotations
@@ -26,6 +31,13 @@ OUT_OF_REACH = 2.0
 #: Margins beyond what demonstrations did: of all translations (pelvis, shoulder, lengths of bones), and of rotations
 #: of the pelvis.
 _TRANSLATION_M, _PELVIS_RAD = 0.02, 0.05
+#: Makes a reach (n, J) from start (J,) to goal (J,) at phases (n,) from 0 to 1.
+FirstGuess = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
+#: The three rotations of the right shoulder, by the names of the 23-DoF and of the 12-DoF human.
+SHOULDERS = (("rShoulderY1", "rShoulderX", "rShoulderY2"), ("rShoulderX", "rShoulderZ", "rShoulderY"))
+_SAME = 1e-6
+#: Closer than this to a rotation where the angles are not unique they change too fast to be followed, rad.
+_LOCKED_RAD = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,15 +158,6 @@ def posture_variation(recordings: Sequence[ReachRecording]) -> FloatArray:
         found.append(np.sqrt((away**2).mean(axis=0)))
     variation: FloatArray = np.median(found, axis=0)
     return variation
-
-
-#: Makes a reach (n, J) from start (J,) to goal (J,) at phases (n,) from 0 to 1.
-FirstGuess = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
-#: The three rotations of the right shoulder, by the names of the 23-DoF and of the 12-DoF human.
-SHOULDERS = (("rShoulderY1", "rShoulderX", "rShoulderY2"), ("rShoulderX", "rShoulderZ", "rShoulderY"))
-_SAME = 1e-6
-#: Closer than this to a rotation where the angles are not unique they change too fast to be followed, rad.
-_LOCKED_RAD = 0.05
 
 
 def straight_line(start: FloatArray, goal: FloatArray, phase: FloatArray) -> FloatArray:

@@ -3,7 +3,8 @@
 Between its ends a reach is a straight line in posture space, plus a bow, plus what people vary. The posture when the
 hand has gone a share a of its way is start + a (end - start) + bow(a), and deviates from that by an amount that is zero
 at both ends and largest in the middle. All of it is Gaussian, so the part of a reach that was seen says how it goes on:
-a person who leans more than usual at half the way will lean more than usual at its end.
+a person who leans more than usual at half the way will lean more than usual at its end. How far a reach under way has
+got is what `ReachProgress` follows.
 """
 
 from __future__ import annotations

@@ -148,15 +148,14 @@ def test_nothing_is_learned_from_the_motion_shown(monkeypatch: pytest.MonkeyPatc
     shown: list[str] = []
 
     class Fold:
+        def __init__(self, predictor: str, library: MotionLibrary, *_: Any, **settings: Any) -> None:
+            taught.append({motion.name for motion in library})
+
         def without(self, name: str) -> Any:
             shown.append(name)
             raise LookupError
 
-    def fold(predictor: str, settings: Any) -> Fold:
-        taught.append({motion.name for motion in settings.library})
-        return Fold()
-
-    monkeypatch.setattr("humanpred_ros.evaluation.simulation.leave_one_out", fold)
+    monkeypatch.setattr("humanpred_ros.evaluation.simulation.LeaveOneOut", Fold)
     world = World(library(), replace(RUNS, hold_out=2))
     for name in ("0/0", "10/1", "0/2"):
         with pytest.raises(LookupError):
