@@ -6,6 +6,7 @@ import argparse
 import importlib
 import inspect
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -125,10 +126,11 @@ def _parse_flags(name: str, where: str, words: list[str]) -> tuple[Command, Any]
 
 
 class _Help(argparse.HelpFormatter):
-    """Keeps the paragraphs of a docstring apart."""
+    """Keeps the paragraphs and the entries of lists in a docstring apart."""
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
-        return "\n\n".join(super(_Help, self)._fill_text(part, width, indent) for part in text.split("\n\n"))
+        parts = re.split(r"\n\n|\n(?=- )", text)
+        return "\n\n".join(super(_Help, self)._fill_text(part, width, indent) for part in parts)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -76,7 +76,7 @@ class ReplaySettings(Settings):
 
 
 def replay(settings: ReplaySettings, console: Console) -> int:
-    """Feed a run's recorded occupancy to a fresh planner; return 1 if its decisions differ."""
+    """Feed a run's recorded occupancy to a fresh planner; the exit status is 1 if its decisions differ."""
     from humanpred_ros.evaluation.reproduce import replay_run
 
     with console.status("feeding the recorded occupancy to a fresh planner"):
@@ -103,7 +103,7 @@ class BagSalvageSettings(BagCheckSettings):
 
 
 def bag_check(settings: BagCheckSettings, console: Console) -> int:
-    """Read a bag completely, with checksums; return 1 if there is a problem."""
+    """Read a bag completely, with checksums; the exit status is 1 if there is a problem."""
     from humanpred_ros.bags.salvage import check_bag
 
     found = check_bag(settings.bag)

@@ -9,12 +9,16 @@ import importlib
 import json
 import pkgutil
 import textwrap
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from humanpred_ros import nodes
+from humanpred_ros import nodes, plugins
 from humanpred_ros.cli import COMMANDS, flag, shown
+from humanpred_ros.occupancy.predictor import predictor_type
+from humanpred_ros.recognition.classifier import classifier_type
 from humanpred_ros.settings import Settings, facts_of
+from humanpred_ros.stomp.costs import CostTerm
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 YAML, MARKDOWN = REPOSITORY / "config" / "nodes.yaml", REPOSITORY / "docs" / "settings.md"
@@ -39,6 +43,26 @@ def command_settings() -> dict[str, type[Settings]]:
         hints = get_type_hints(getattr(importlib.import_module(f"humanpred_ros.{module}"), function))
         found[words] = next(iter(hints.values()))
     return found
+
+
+def plugin_settings() -> dict[str, type[Settings]]:
+    """Return the settings class of every built-in classifier, predictor and cost term that has settings, by name."""
+    found = {name: classifier_type(name).settings_type for name in plugins.names(plugins.CLASSIFIERS)}
+    found |= {name: predictor_type(name).settings_type for name in plugins.names(plugins.PREDICTORS)}
+    for name in plugins.names(plugins.COST_TERMS):
+        found[name] = plugins.load(plugins.COST_TERMS, name, CostTerm).settings_type
+    return {name: kind for name, kind in found.items() if kind.model_fields}
+
+
+def flattened(settings: type[Settings] | Settings, prefix: str) -> Iterator[tuple[str, Any, Any]]:
+    """Give path, default and field of each setting; those of settings within settings with a longer path."""
+    kind = settings if isinstance(settings, type) else type(settings)
+    for key, field in kind.model_fields.items():
+        default = field.default if isinstance(settings, type) else getattr(settings, key)
+        if isinstance(default, Settings):
+            yield from flattened(default, f"{prefix}.{key}")
+        else:
+            yield f"{prefix}.{key}", default, field
 
 
 def range_of(field: Any) -> str:
@@ -103,6 +127,13 @@ def settings_markdown() -> str:
             rows.append((f"`{flag(settings_type, key)}`", default, range_of(field), str(field.description)))
         lines += [f"### `humanpred {words}`", "", COMMANDS[words][1][:1].upper() + COMMANDS[words][1][1:] + ".", ""]
         lines += table(rows)
+    lines += ["## Classifiers, predictors and cost terms", ""]
+    lines += ["Set as `--set NAME.SETTING=VALUE` by `humanpred demo` and `train`, and as parameters of the nodes.", ""]
+    for name, kind in plugin_settings().items():
+        rows = [("setting", "default", "range", "what it is")]
+        for path, default, field in flattened(kind, name):
+            rows.append((f"`{path}`", f"`{shown(default)}`", range_of(field), str(field.description)))
+        lines += [f"### `{name}`", "", *table(rows)]
     return "\n".join(lines).rstrip("\n") + "\n"
 
 

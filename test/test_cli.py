@@ -146,7 +146,8 @@ def test_unusable_scenes(
 ) -> None:
     scene = scene_with(tmp_path, change)
     out = tmp_path / "run"
-    expect_refusal(["demo", "--scene", scene, "--library", str(library), "--out", str(out)], words, capsys)
+    motions = ["--library", str(library), "--trajectory", "0/0", "--hold-out", "1"]
+    expect_refusal(["demo", "--scene", scene, *motions, "--out", str(out)], words, capsys)
     assert not out.exists()
 
 

@@ -24,8 +24,6 @@ RATE_HZ = 30.0
 #: Where the pelvises of the shipped library's people are in the scene at the start (median), world frame.
 _STAND_M = (-0.08, -1.31, 0.91)
 _STARTED = "replay starts"
-_POLL_S = 0.02
-_SETTLE_S = 0.3  # the last messages reach the recorder after the tracker has ended
 #: The first start on a machine compiles the kernels.
 _READY_LIMIT_S, _REST_LIMIT_S = 180.0, 60.0
 #: Nodes that each use less than this share of a core for this long have finished starting.
@@ -111,20 +109,18 @@ def replay(group: NodeGroup, motion: Path) -> tuple[NodeUsage, ...]:
     # When each node was looked at first and last, s, and what it had used then: some may end meanwhile.
     first: dict[str, tuple[float, float]] = {}
     last: dict[str, tuple[float, float, float]] = {}
-    begun = False
-    while tracker.running:
-        group.check()
-        begun = begun or _STARTED in tracker.tail()
-        for node in group.nodes if begun else ():
-            usage = node.usage()
-            if usage is not None:
-                first.setdefault(node.name, (time.perf_counter(), usage.cpu_s))
-                last[node.name] = (time.perf_counter(), *usage)
-        time.sleep(_POLL_S)
-    group.check()
-    if not begun and _STARTED not in tracker.tail():
+
+    def note_usage() -> None:
+        if first or _STARTED in tracker.tail():
+            for node in group.nodes:
+                usage = node.usage()
+                if usage is not None:
+                    first.setdefault(node.name, (time.perf_counter(), usage.cpu_s))
+                    last[node.name] = (time.perf_counter(), *usage)
+
+    group.wait_for(tracker, note_usage)
+    if _STARTED not in tracker.log.read_text(encoding="utf-8", errors="replace"):
         raise UsageError(f"bench: wanted the tracker to start, its log says:\n{tracker.tail()}")
-    time.sleep(_SETTLE_S)
     found = []
     for name, (begin_s, begin_cpu_s) in first.items():
         end_s, cpu_s, memory_mb = last[name]

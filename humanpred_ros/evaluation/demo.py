@@ -1,37 +1,42 @@
-"""The main job: a recorded reach is replayed, predicted and planned around over DDS, and recorded."""
+"""The main job: a recorded reach is replayed, predicted and planned around over DDS, and recorded.
+
+Five processes do it: a tracker that replays the motion, the predictor of the space that the person is going to need,
+the planner, a simulated arm, and a recorder. The next posture waits for the decision on the last, so that a run is the
+same on any machine; with `--real-time` it is played at the recorded speed. The predictor has not learned from the
+motion that is replayed. The run's folder gets bag, model, logs, summary.json and report.html.
+"""
 
 from __future__ import annotations
 
 import json
 import re
 import shutil
-import time
+import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import datetime
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from humanpred_ros import __version__
+from humanpred_ros import __version__, plugins
 from humanpred_ros.errors import LibraryFormatError, UsageError
 from humanpred_ros.evaluation.processes import NodeGroup, NodeProcess, ParameterValue, free_domain_id
 from humanpred_ros.human.model import human_with, name_of_human
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
-from humanpred_ros.occupancy.predictor import check_predictor, needed_classifiers, predictor_type
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR, SET, Given, given_settings, parameters_of
-from humanpred_ros.recognition.training import classifier_settings, load_model, model_of
 from humanpred_ros.resources import locate
-from humanpred_ros.robot.scene import Scene, load_scene
+from humanpred_ros.robot.scene_file import read_scene_file
 from humanpred_ros.settings import Settings, setting, setting_of
-from humanpred_ros.viewing.analysis import RunSummary
-from humanpred_ros.viewing.key_figures import print_summary
-from humanpred_ros.viewing.report import report_run
 
-_POLL_S = 0.05
-_SETTLE_S = 0.3  # the last messages reach the recorder after the tracker has ended
+if TYPE_CHECKING:
+    from humanpred_ros.viewing.analysis import RunSummary
+
 _LOG_LINE = re.compile(r"^\[\w+\] \[[\d.]+\] \[stomp_planner\]: (.*)$")
 _TRACKER = "skeleton_tracker_replay"
 _PEERS = ("occupancy_predictor", "stomp_planner", "simulated_arm", "run_recorder")
@@ -82,42 +87,158 @@ def run(settings: DemoSettings, console: Console) -> int:
 def run_demo(settings: DemoSettings, console: Console) -> RunSummary:
     """Run the graph once and return the summary; everything else lies in the run's folder.
 
-    Raises:
-        HumanPredError: unusable input (before anything is written), or a node that failed.
-    """
-    check_predictor(settings.predictor, settings.classifier)
-    given = given_settings(settings.set, (settings.classifier, settings.predictor, *settings.cost_terms))
-    scene = load_scene(settings.scene)
-    library = load_library(locate(settings.library, "bags"))
-    human = human_with(library.dof_names)
-    motion = library.find(settings.trajectory)
-    folder = _new_folder(settings, scene, motion)
-    model = None
-    if settings.model:
-        load_model(settings.model, human)
-    elif predictor_type(settings.predictor).needs_model:
-        training = training_part(library, motion, settings.hold_out)
-        with console.status(f"training on {len(training)} motions of {library.name}"):
-            names = needed_classifiers(settings.predictor, settings.classifier)
-            model = model_of(training, human, {name: classifier_settings(name, settings.seed, given) for name in names})
+    What takes long is done side by side: the nodes start as soon as what each is given is known, while the input is
+    still being looked at; what the report needs is imported while the arm works, and the nodes end while it is drawn.
 
+    Raises:
+        HumanPredError: unusable input (nothing is left behind), or a node that failed.
+    """
+    plugins.check_name(plugins.PREDICTORS, settings.predictor)
+    given = given_settings(settings.set, (settings.classifier, settings.predictor, *settings.cost_terms))
+    read_scene_file(settings.scene)
+    library = load_library(locate(settings.library, "bags"), points=False)
+    motion = library.find(settings.trajectory)
+    folder = _new_folder(settings, motion)
+    with NodeGroup(folder / "logs", free_domain_id()) as group:
+        with _removed_on_failure(folder, group):
+            _start(group, settings, given, library, motion, folder, console)
+        _follow(group, console)
+        group.end("run_recorder")
+        from humanpred_ros.viewing.key_figures import print_summary
+        from humanpred_ros.viewing.report import report_run
+
+        summary = report_run(folder)
+    print_summary(summary, console)
+    console.print(f"report  {folder / 'report.html'}\nbag     {folder / 'bag'}")
+    return summary
+
+
+@contextmanager
+def _removed_on_failure(folder: Path, group: NodeGroup) -> Iterator[None]:
+    """Make a folder that is there only if the block succeeds; else the nodes are ended first."""
+    made = [folder, *(parent for parent in folder.parents if not parent.exists())]
     folder.mkdir(parents=True)
-    model_path = Path(settings.model or folder / "model.npz").resolve()
-    if model is not None:
-        shutil.copyfile(model, model_path)
+    try:
+        yield
+    except BaseException:
+        group.stop(gently=False)  # nothing of theirs is kept
+        shutil.rmtree(made[-1], ignore_errors=True)
+        raise
+
+
+def _start(
+    group: NodeGroup,
+    settings: DemoSettings,
+    given: Given,
+    library: MotionLibrary,
+    motion: Motion,
+    folder: Path,
+    console: Console,
+) -> None:
+    """Start the nodes; find or train the model, and check the scene, while they are starting."""
+    # With /clock published, stamps are simulated time; otherwise they are wall time, as on a real robot.
+    common: dict[str, ParameterValue] = {"use_sim_time": settings.real_time != 1.0, "scene": settings.scene}
+    period_s = period_of(motion, settings.steps)
+    group.start(
+        "stomp_planner",
+        {
+            **common,
+            "period_s": period_s,
+            "seed": settings.seed,
+            "cost_terms": list(settings.cost_terms),
+            **parameters_of(given),
+            "lossless": settings.stepped,
+            "controller": "simulated_arm",
+            "listener": _TRACKER,
+        },
+    )
+    group.start("simulated_arm", common)
+    model = _model(settings, given, library, motion, folder / "model.npz", console)
+    group.start(
+        "occupancy_predictor",
+        {
+            **common,
+            "model": str(model.resolve()),
+            "predictor": settings.predictor,
+            "human": name_of_human(motion.dof_names),
+            "classifier": settings.classifier,
+            "detect_onsets": settings.onsets,
+            **parameters_of(given),
+            "threshold": settings.threshold,
+            "lossless": settings.stepped,
+            "listener": "stomp_planner",
+        },
+    )
     replayed = MotionLibrary(f"motion_{motion.name.replace('/', '_')}", (motion,), library.provenance)
-    bag = write_library_bag(replayed, folder / replayed.name)
+    group.start(
+        _TRACKER,
+        {
+            "library": str(write_library_bag(replayed, folder / replayed.name)),
+            "trajectory": motion.name,
+            "mode": "stepped" if settings.stepped else "real_time",
+            "rate": settings.real_time or 1.0,
+            "hold_last_s": settings.hold_last_s,
+            "wait_for": ",".join(_PEERS),
+            "listener": "occupancy_predictor",
+        },
+    )
+    info = json.dumps(_facts(settings, motion, period_s))
+    group.start("run_recorder", {"output": str(folder / "bag"), "run_info": info, "markers": settings.markers})
+    from humanpred_ros.robot.scene import load_scene
+
+    scene = load_scene(settings.scene)
     console.print(
         f"[bold]{scene.name}[/bold]: motion {motion.name} of {library.name}, {motion.duration_s:.2f} s; "
         f"goals {', '.join(goal.name for goal in scene.goals)}; run folder {folder}"
     )
-    with NodeGroup(folder / "logs", free_domain_id()) as group:
-        _start_nodes(group, settings, given, bag, motion, model_path, folder)
-        _follow(group, console)
-    summary = report_run(folder)
-    print_summary(summary, console)
-    console.print(f"report  {folder / 'report.html'}\nbag     {folder / 'bag'}")
-    return summary
+
+
+def _model(
+    settings: DemoSettings, given: Given, library: MotionLibrary, motion: Motion, path: Path, console: Console
+) -> Path:
+    """Return the model's file: the one told, or a copy at `path` of the one found or trained now, if one is needed."""
+    # Imported here: it takes a second, in which the first nodes are starting already.
+    from humanpred_ros.occupancy.predictor import check_predictor, needed_classifiers, predictor_type
+    from humanpred_ros.recognition.training import classifier_settings, load_model, model_of
+
+    check_predictor(settings.predictor, settings.classifier)
+    human = human_with(library.dof_names)
+    if settings.model:
+        load_model(settings.model, human)
+        return Path(settings.model)
+    if predictor_type(settings.predictor).needs_model:
+        training = training_part(library, motion, settings.hold_out)
+        names = needed_classifiers(settings.predictor, settings.classifier)
+        with console.status(f"training on {len(training)} motions of {library.name}"):
+            found = model_of(training, human, {name: classifier_settings(name, settings.seed, given) for name in names})
+        shutil.copyfile(found, path)
+    return path
+
+
+def _facts(settings: DemoSettings, motion: Motion, period_s: float) -> dict[str, object]:
+    """Return what the run's bag tells about the run."""
+    from humanpred_ros.occupancy.predictor import predictor_type
+
+    return {
+        "scene": settings.scene,
+        "library": settings.library,
+        "trajectory": motion.name,
+        "seed": settings.seed,
+        "mode": "stepped" if settings.stepped else "real_time",
+        "rate": settings.real_time or "",
+        "period_s": repr(period_s),
+        "predictor": settings.predictor,
+        "classifier": settings.classifier if predictor_type(settings.predictor).classifiers != () else "",
+        "detect_onsets": settings.onsets,
+        "threshold": repr(settings.threshold),
+        "package_version": __version__,
+        "duration_s": repr(motion.duration_s),
+        "hold_out": settings.hold_out,
+        "steps": settings.steps,
+        "cost_terms": " ".join(settings.cost_terms),
+        "set": json.dumps(settings.set),
+        "model": settings.model or "",
+    }
 
 
 def training_part(library: MotionLibrary, replayed: Motion, hold_out: int) -> MotionLibrary:
@@ -141,7 +262,7 @@ def period_of(motion: Motion, steps: int) -> float:
     return motion.duration_s / steps
 
 
-def _new_folder(settings: DemoSettings, scene: Scene, motion: Motion) -> Path:
+def _new_folder(settings: DemoSettings, motion: Motion) -> Path:
     if settings.out:
         folder = Path(settings.out)
         if folder.exists() and any(folder.iterdir()):
@@ -150,102 +271,30 @@ def _new_folder(settings: DemoSettings, scene: Scene, motion: Motion) -> Path:
             folder.rmdir()
         return folder
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
-    return Path("runs") / f"{stamp}-{scene.name}-{motion.name.replace('/', '_')}"
-
-
-def _start_nodes(
-    group: NodeGroup, settings: DemoSettings, given: Given, bag: Path, motion: Motion, model: Path, folder: Path
-) -> None:
-    period_s = period_of(motion, settings.steps)
-    info = {
-        "scene": settings.scene,
-        "library": settings.library,
-        "trajectory": motion.name,
-        "seed": settings.seed,
-        "mode": "stepped" if settings.stepped else "real_time",
-        "rate": settings.real_time or "",
-        "period_s": repr(period_s),
-        "predictor": settings.predictor,
-        "classifier": settings.classifier if predictor_type(settings.predictor).classifiers != () else "",
-        "detect_onsets": settings.onsets,
-        "threshold": repr(settings.threshold),
-        "package_version": __version__,
-        "duration_s": repr(motion.duration_s),
-        "hold_out": settings.hold_out,
-        "steps": settings.steps,
-        "cost_terms": " ".join(settings.cost_terms),
-        "set": json.dumps(settings.set),
-        "model": settings.model or "",
-    }
-    # With /clock published, stamps are simulated time; otherwise they are wall time, as on a real robot.
-    simulated_time = settings.real_time != 1.0
-    common: dict[str, ParameterValue] = {"use_sim_time": simulated_time}
-    group.start(
-        "run_recorder", {"output": str(folder / "bag"), "run_info": json.dumps(info), "markers": settings.markers}
-    )
-    group.start("simulated_arm", {**common, "scene": settings.scene})
-    group.start(
-        "stomp_planner",
-        {
-            **common,
-            "scene": settings.scene,
-            "period_s": period_s,
-            "seed": settings.seed,
-            "cost_terms": list(settings.cost_terms),
-            **parameters_of(given),
-            "lossless": settings.stepped,
-            "controller": "simulated_arm",
-            "listener": _TRACKER,
-        },
-    )
-    group.start(
-        "occupancy_predictor",
-        {
-            **common,
-            "scene": settings.scene,
-            "model": str(model),
-            "predictor": settings.predictor,
-            "human": name_of_human(motion.dof_names),
-            "classifier": settings.classifier,
-            "detect_onsets": settings.onsets,
-            **parameters_of(given),
-            "threshold": settings.threshold,
-            "lossless": settings.stepped,
-            "listener": "stomp_planner",
-        },
-    )
-    group.start(
-        _TRACKER,
-        {
-            "library": str(bag),
-            "trajectory": motion.name,
-            "mode": "stepped" if settings.stepped else "real_time",
-            "rate": settings.real_time or 1.0,
-            "hold_last_s": settings.hold_last_s,
-            "wait_for": ",".join(_PEERS),
-            "listener": "occupancy_predictor",
-        },
-    )
+    return Path("runs") / f"{stamp}-{Path(settings.scene).stem}-{motion.name.replace('/', '_')}"
 
 
 def _follow(group: NodeGroup, console: Console) -> None:
     """Show the planner's decisions as they come until the tracker has replayed everything."""
-    tracker = next(node for node in group.nodes if node.name == _TRACKER)
-    planner = next(node for node in group.nodes if node.name == "stomp_planner")
-    lines = _new_lines(planner)
-    with console.status("starting the nodes") as status:
-        while tracker.running:
-            group.check()
-            for line in lines:
-                if line is None:
-                    break
-                found = _LOG_LINE.match(line)
-                if found:
+    nodes = {node.name: node for node in group.nodes}
+    lines = _new_lines(nodes["stomp_planner"])
+    # The report's libraries take a second to import; while the arm works there is time.
+    importing = threading.Thread(target=import_module, args=("humanpred_ros.viewing.report",), daemon=True)
+
+    def show_decisions() -> None:
+        for line in lines:
+            if line is None:
+                return
+            found = _LOG_LINE.match(line)
+            if found:
+                if not importing.ident:
+                    importing.start()
                     status.update("human is moving, arm is working")
-                    console.print(f"  {found.group(1)}", markup=False, highlight=False, soft_wrap=True)
-            time.sleep(_POLL_S)
-        group.check()
-        time.sleep(_SETTLE_S)
+                console.print(f"  {found.group(1)}", markup=False, highlight=False, soft_wrap=True)
+
+    with console.status("starting the nodes") as status:
+        group.wait_for(nodes[_TRACKER], show_decisions)
+        show_decisions()
 
 
 def _new_lines(node: NodeProcess) -> Iterator[str | None]:

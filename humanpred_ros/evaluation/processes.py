@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import signal
@@ -9,7 +10,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -22,6 +23,7 @@ _ESCALATION = ((signal.SIGINT, 8.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 2.0
 #: What asks the parent to end.
 _INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
 _POLL_S = 0.02
+_SETTLE_S = 0.3  # the last messages reach the recorder after their sender has ended
 _PR_SET_PDEATHSIG = 1
 _TAIL_LINES = 8
 
@@ -122,9 +124,35 @@ class NodeGroup:
             if status:
                 raise UsageError(f"{node.name} ended with status {status}; the end of {node.log}:\n{node.tail()}")
 
-    def stop(self) -> None:
-        """End every node, the last started first, by ever stronger signals."""
-        for number, patience_s in _ESCALATION:
+    def wait_for(self, source: NodeProcess, meanwhile: Callable[[], None] = lambda: None) -> None:
+        """Wait until the node that feeds the others has ended by itself, and what was sent last has arrived.
+
+        Args:
+            source: the node.
+            meanwhile: called again and again.
+
+        Raises:
+            UsageError: a node failed.
+        """
+        while source.running:
+            self.check()
+            meanwhile()
+            time.sleep(_POLL_S)
+        self.check()
+        time.sleep(_SETTLE_S)
+
+    def end(self, awaited: str) -> None:
+        """Ask every node to end, and wait for one of them: what it wrote is complete then. The others end meanwhile."""
+        number, patience_s = _ESCALATION[0]
+        for node in reversed(self.nodes):
+            if node.running:
+                node.process.send_signal(number)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            next(node for node in self.nodes if node.name == awaited).process.wait(patience_s)
+
+    def stop(self, gently: bool = True) -> None:
+        """End every node, the last started first, by ever stronger signals, or by the strongest at once."""
+        for number, patience_s in _ESCALATION if gently else _ESCALATION[-1:]:
             alive = [node for node in reversed(self.nodes) if node.running]
             if not alive:
                 return

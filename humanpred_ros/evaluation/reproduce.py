@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,6 @@ from humanpred_ros.evaluation.processes import NodeGroup, free_domain_id
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.plugins import given_settings, parameters_of
 
-_POLL_S = 0.05
-_SETTLE_S = 0.3
 #: Facts of a decision that depend on the machine, not on the input.
 _MACHINE_FACTS = {"compute_ms"}
 
@@ -68,11 +65,7 @@ def replay_run(folder: Path, out: Path) -> Comparison:
             },
         )
         source = group.start("occupancy_replay", {"bag": str(folder / "bag"), "wait_for": "run_recorder,stomp_planner"})
-        while source.running:
-            group.check()
-            time.sleep(_POLL_S)
-        group.check()
-        time.sleep(_SETTLE_S)
+        group.wait_for(source)
     return compare_bags(recorded, BagReader(out))
 
 

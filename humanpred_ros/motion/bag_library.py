@@ -121,7 +121,7 @@ class _Draft:
 
 
 def read_library_bag(
-    path: str | Path, *, body: str = "body_0", incomplete: Literal["error", "drop"] = "error"
+    path: str | Path, *, body: str = "body_0", incomplete: Literal["error", "drop"] = "error", points: bool = True
 ) -> MotionLibrary:
     """Return the library in a bag: a rosbag2 directory or an .mcap file; other topics are ignored.
 
@@ -132,6 +132,7 @@ def read_library_bag(
         path: the bag.
         body: which tracked body.
         incomplete: what to do with a motion that has fewer frames than announced (a salvaged bag).
+        points: whether the skeleton points are read, too.
 
     Raises:
         BagError: not readable, without joint states of that body, or contradicting itself.
@@ -146,8 +147,9 @@ def read_library_bag(
         )
     bag.require_topic(states_topic, ros.JOINT_STATE)
     announced = motion_topic in bag.topics and bag.require_topic(motion_topic, ros.STRING).count > 0
+    further = (motion_topic, points_topic) if points else (motion_topic,)
     drafts: list[_Draft] = []
-    for message in bag.messages([states_topic] + [t for t in (motion_topic, points_topic) if t in bag.topics]):
+    for message in bag.messages([states_topic] + [topic for topic in further if topic in bag.topics]):
         content = bag.decode(message)
         if message.topic == motion_topic:
             drafts.append(_Draft.announced(bag.path, content.data))

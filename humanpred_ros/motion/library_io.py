@@ -35,7 +35,9 @@ _CLASS_FILE = re.compile(r"(class|compound)_(\d+)\.csv", re.IGNORECASE)
 _FRAME_COLUMNS = ("frame", "raw_frame")
 
 
-def load_library(path: str | Path, *, frame_period_s: float = DEFAULT_FRAME_PERIOD_S) -> MotionLibrary:
+def load_library(
+    path: str | Path, *, frame_period_s: float = DEFAULT_FRAME_PERIOD_S, points: bool = True
+) -> MotionLibrary:
     """Return all motions of a folder of CSV files, a rosbag2 directory, or an .mcap file; drops nothing.
 
     Class files hold the 12 DoFs of a Kinect's human or the 23 of motion capture's; their columns say which. Of a folder
@@ -44,6 +46,7 @@ def load_library(path: str | Path, *, frame_period_s: float = DEFAULT_FRAME_PERI
     Args:
         path: the library.
         frame_period_s: seconds between frames where a CSV library has no stamps; bags have them.
+        points: whether the skeleton points that bags may hold are wanted, too; without them reading takes half as long.
 
     Raises:
         LibraryFormatError: nothing of that name, nothing of these kinds, or unusable CSV.
@@ -59,7 +62,7 @@ def load_library(path: str | Path, *, frame_period_s: float = DEFAULT_FRAME_PERI
             return read_csv_library(path, frame_period_s=frame_period_s, dof_names=human.dof_names, frame_id=FRAME_ID)
         return read_csv_library(path, frame_period_s=frame_period_s)
     if path.suffix in (".mcap", ".db3") or (path / "metadata.yaml").exists() or any(path.glob("*.mcap")):
-        return read_library_bag(path)
+        return read_library_bag(path, points=points)
     if any(path.glob(f"*_{ACTIVE}.csv")):
         return _reaching_people(path)
     raise LibraryFormatError(

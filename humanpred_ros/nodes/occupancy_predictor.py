@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from rcl_interfaces.msg import SetParametersResult
@@ -34,12 +34,13 @@ from humanpred_ros.occupancy.predictor import (
 )
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR, settings_of
 from humanpred_ros.reaching.places import places_from_text, places_in_world
-from humanpred_ros.reaching.reaching_predictor import ReachingPredictor, ReachingSettings, ReachKnowledge
-from humanpred_ros.reaching.weights import reach_weights
 from humanpred_ros.recognition.training import TrainedModel, classifier_settings, load_model, train_model
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import Scene, load_scene
 from humanpred_ros.settings import Settings, setting
+
+if TYPE_CHECKING:
+    from humanpred_ros.reaching.reaching_predictor import ReachingPredictor, ReachingSettings
 
 _MARKER_PERIOD_NS = 200_000_000
 #: How often it is looked at whether the person can get to the goals; people walk, but not far in that time.
@@ -100,12 +101,11 @@ class OccupancyPredictorNode(GraphNode):
         self.goals_m: FloatArray | None = None
         scene_places = places_in_world({place.label: place.place_m for place in scene.places}, scene.T_world_human)
         self.scene_places = None if scene_places is None else scene_places.by_label
+        self.reaching: ReachingPredictor | None = None
         with compiled.announced("occupancy predictor", self.get_logger().info):
-            self.predictor = (
-                self._reaching(scene, told, own)
-                if isinstance(own, ReachingSettings)
-                else self._trained(scene, own, given[settings.classifier])
-            )
+            if settings.predictor == "reaching":
+                self.reaching = self._reaching(scene, told, cast("ReachingSettings", own))
+            self.predictor = self.reaching or self._trained(scene, own, given[settings.classifier])
         declare_plugin(self, settings.predictor, own)
         self.origin_ns = 0
         self.looked_ns: int | None = None
@@ -162,6 +162,10 @@ class OccupancyPredictorNode(GraphNode):
         self, scene: Scene, told: Mapping[int, FloatArray] | None, own: ReachingSettings
     ) -> ReachingPredictor:
         """Return the predictor that knows places; a library without classes is enough for it, given places."""
+        # These take half a second to import.
+        from humanpred_ros.reaching.reaching_predictor import ReachingPredictor, ReachKnowledge
+        from humanpred_ros.reaching.weights import reach_weights
+
         settings = self.settings
         reach_weights(own.weights)  # named wrongly, they should not cost the learning first
         if settings.model:
@@ -199,8 +203,8 @@ class OccupancyPredictorNode(GraphNode):
         """Take other places at run time; everything else is read-only."""
         try:
             told = [self._told(parameter.value or []) for parameter in parameters if parameter.name == "places"]
-            if told and isinstance(self.predictor, ReachingPredictor):
-                self.predictor.set_places(told[-1] or self.scene_places)
+            if told and self.reaching is not None:
+                self.reaching.set_places(told[-1] or self.scene_places)
                 self.looked_ns = None
         except UsageError as error:
             return SetParametersResult(successful=False, reason=str(error))
@@ -236,8 +240,8 @@ class OccupancyPredictorNode(GraphNode):
     def _publish_places(self, prediction: Prediction, stamp_ns: int) -> None:
         """Publish where the hand may go, and how probable each place is."""
         posterior, T = prediction.posterior, self.T_world_human
-        if isinstance(self.predictor, ReachingPredictor):
-            self.goals_m = np.array(list(self.predictor.places.values()))
+        if self.reaching is not None:
+            self.goals_m = np.array(list(self.reaching.places.values()))
         if posterior is None or self.goals_m is None:
             return
         if prediction.T_library_tracker is not None:
@@ -248,11 +252,11 @@ class OccupancyPredictorNode(GraphNode):
 
     def _look_at_places(self, q: FloatArray, stamp_ns: int) -> None:
         """Warn of places told that this person does not get to."""
-        if not isinstance(self.predictor, ReachingPredictor):
+        if self.reaching is None:
             return
         if self.looked_ns is None or abs(stamp_ns - self.looked_ns) >= _REACH_PERIOD_NS:
             self.looked_ns = stamp_ns
-            self.warn(self.predictor.warnings(q))
+            self.warn(self.reaching.warnings(q))
 
 
 main = entry_point(OccupancyPredictorNode)

@@ -14,7 +14,8 @@ from humanpred_ros.errors import PlanningError, UsageError
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import READY, GraphNode
 
-_POLL_PERIOD_S = 0.004
+#: How often it is looked whether a posture is due in real time, and whether anything else is to be waited for.
+_DUE_PERIOD_S, _WAIT_PERIOD_S = 0.004, 0.04
 
 
 class SteppedSource(GraphNode):
@@ -51,7 +52,8 @@ class SteppedSource(GraphNode):
         self._clock_publisher = self.create_publisher(ClockMessage, topics.CLOCK, qos.COMMAND) if clock else None
         self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.COMMAND)
         self.create_subscription(DiagnosticArray, topics.DECISION, self._on_decision, qos.LOSSLESS)
-        self.create_timer(_POLL_PERIOD_S, self._poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = self.create_timer(_WAIT_PERIOD_S, self._poll, clock=self._steady)
 
     def waiting_for(self) -> str:
         return ", ".join(peer for peer in self._wanted if self._seen.get(peer) != READY)
@@ -109,6 +111,9 @@ class SteppedSource(GraphNode):
                 self.begin()
                 if self.stepped:
                     self.publish_next()
+                else:
+                    self._timer.cancel()
+                    self._timer = self.create_timer(_DUE_PERIOD_S, self._poll, clock=self._steady)
             elif waited_s > self._ready_timeout_s:
                 self.stop_with(UsageError(f"waited {self._ready_timeout_s:.0f} s for {waiting}; is it running?"))
         elif not self.stepped:

@@ -11,7 +11,6 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from humanpred_ros.errors import ArrayError, GoalUnreachableError, SceneError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
@@ -219,6 +218,8 @@ def _goal(section: GoalSection, arm: Pr2Arm, start: FloatArray, obstacles: Seque
     tool = section.tool_pose
     if tool is None:
         return Goal(section.name, section.angle("configuration"), section.task_cost)
+    from scipy.spatial.transform import Rotation  # takes half a second to import; only tool poses need it
+
     T_world_tool = np.eye(4)
     # Roll, pitch and yaw about the world's x, y and z, one after the other, as in a URDF.
     T_world_tool[:3, :3] = Rotation.from_euler("xyz", tool.angle("orientation")).as_matrix()

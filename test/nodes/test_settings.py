@@ -13,8 +13,10 @@ from humanpred_ros.settings import facts_of
 NODES = reference.node_settings()
 
 
-def test_the_parameter_file_is_that_of_the_code() -> None:
+def test_parameter_file_and_reference_are_those_of_the_code() -> None:
     assert reference.YAML.read_text(encoding="utf-8") == reference.nodes_yaml(), "run: python test/reference.py"
+    written = reference.MARKDOWN.read_text(encoding="utf-8")
+    assert written == reference.settings_markdown(), "run: python test/reference.py"
 
 
 @pytest.mark.parametrize("node", NODES)
