@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -181,11 +182,11 @@ class BagReader:
     def _topics_by_reading(self, stream: Any, starts: list[int], ends: list[int]) -> list[TopicInfo]:
         """Count messages in a file that has no statistics."""
         seen: dict[int, tuple[Any, Any]] = {}
-        counts: dict[int, int] = {}
+        counts: Counter[int] = Counter()
         reader: Any = NonSeekingReader(stream, validate_crcs=True)
         for schema, channel, message in reader.iter_messages(log_time_order=False):
             seen[channel.id] = (channel, schema)
-            counts[channel.id] = counts.get(channel.id, 0) + 1
+            counts[channel.id] += 1
             starts.append(message.log_time)
             ends.append(message.log_time)
         return [self._topic(channel, schema, counts) for channel, schema in seen.values()]
@@ -193,14 +194,7 @@ class BagReader:
     def _topic(self, channel: Any, schema: Any, counts: Mapping[int, int]) -> TopicInfo:
         if schema is not None and schema.encoding == "ros2msg":
             self._definitions[schema.name] = schema.data.decode("utf-8")
-        return TopicInfo(
-            channel.topic,
-            "" if schema is None else schema.name,
-            counts.get(channel.id, 0),
-            channel.message_encoding,
-            qos_from(channel.metadata.get("offered_qos_profiles", "")),
-            channel.metadata.get("topic_type_hash", ""),
-        )
+        return topic_of(channel, schema, counts.get(channel.id, 0))
 
     def _store_of(self, msgtype: str) -> Any:
         if msgtype in typestore().fielddefs:
@@ -274,13 +268,17 @@ def spell(trouble: Exception) -> str:
 def _crc_of(stream: IO[bytes], length: int) -> int:
     stream.seek(0)
     crc = 0
-    while length > 0:
-        block = stream.read(min(_BLOCK_BYTES, length))
-        if not block:
-            break
+    while block := stream.read(min(_BLOCK_BYTES, length)):
         crc = zlib.crc32(block, crc)
         length -= len(block)
     return crc
+
+
+def topic_of(channel: Any, schema: Any, count: int = 0) -> TopicInfo:
+    """Return the topic of an mcap channel. Raises BagError for profiles of service that cannot be parsed."""
+    qos, type_hash = (channel.metadata.get(key, "") for key in ("offered_qos_profiles", "topic_type_hash"))
+    msgtype = "" if schema is None else schema.name
+    return TopicInfo(channel.topic, msgtype, count, channel.message_encoding, qos_from(qos), type_hash)
 
 
 def bag_files(path: Path) -> tuple[Path, ...]:

@@ -26,8 +26,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Message, Metadata, Schema
 
 from humanpred_ros.bags.messages import TypeDefinition
-from humanpred_ros.bags.metadata import qos_from, read_metadata
-from humanpred_ros.bags.reader import MAGIC, MCAP_TROUBLE, RECORD_HEADER, bag_files, inspect_frame, spell
+from humanpred_ros.bags.metadata import read_metadata
+from humanpred_ros.bags.reader import MAGIC, MCAP_TROUBLE, RECORD_HEADER, bag_files, inspect_frame, spell, topic_of
 from humanpred_ros.bags.writer import BagWriter
 from humanpred_ros.errors import BagError
 
@@ -126,18 +126,10 @@ def _examine(path: Path, bag: BagWriter | None) -> BagReport:
 
 def _copy(bag: BagWriter, channel: Any, schema: Any, message: Any) -> None:
     if channel.topic not in bag.topics:
-        definition = TypeDefinition(
-            "" if schema is None else schema.data.decode("utf-8", "replace"),
-            "" if schema is None else schema.encoding,
-            channel.metadata.get("topic_type_hash", ""),
-        )
-        bag.add_topic(
-            channel.topic,
-            "" if schema is None else schema.name,
-            qos=qos_from(channel.metadata.get("offered_qos_profiles", "")),
-            definition=definition,
-            encoding=channel.message_encoding,
-        )
+        text, encoding = ("", "") if schema is None else (schema.data.decode("utf-8", "replace"), schema.encoding)
+        topic = topic_of(channel, schema)
+        definition = TypeDefinition(text, encoding, topic.type_hash)
+        bag.add_topic(topic.name, topic.msgtype, qos=topic.qos, definition=definition, encoding=topic.encoding)
     bag.write(channel.topic, message.log_time, message.data, message.publish_time)
 
 

@@ -229,25 +229,18 @@ class BagWriter:
                     shutil.rmtree(self._folder, ignore_errors=True)
                 raise self._cannot_write(trouble) from trouble
 
-    def discard(self) -> None:
-        """Close without finishing and remove what was written."""
-        with self._lock:
-            if self._stream is None:
-                return
-            stream, self._stream = self._stream, None
-            stream.close()
-            shutil.rmtree(self._folder, ignore_errors=True)
-
     def __enter__(self) -> BagWriter:
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if kind is not None and self._staged:
-            self.discard()
-        else:
+        if kind is None or not self._staged:
             self.close()
+        elif self._stream is not None:  # nothing of a staged bag remains
+            self._stream.close()
+            self._stream = None
+            shutil.rmtree(self._folder, ignore_errors=True)
 
     def _flush(self, now_s: float) -> None:
         self._mcap.flush()

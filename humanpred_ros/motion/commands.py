@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -143,10 +144,12 @@ def _write_two_people(
             end = min(take.frames.stop for take in takes.values())
             if end - begin < 2:
                 raise LibraryFormatError(f"{recording.path}: wanted frames that show both people, got {end - begin}")
-            both = {role: _cut(take.motion, begin - take.frames.start, end - begin) for role, take in takes.items()}
-            write_reach_recording(Path(place), recording.name, both[ACTIVE], both[PASSIVE])
-            files = {role: Path(place) / f"{recording.name}_{role}.csv" for role in (ACTIVE, PASSIVE)}
-            found = read_reach_recording(recording.name, files[ACTIVE], files[PASSIVE], HumanModel.mocap23())
+            both: list[Motion] = []
+            for take in (takes[ACTIVE], takes[PASSIVE]):
+                part, motion = slice(begin - take.frames.start, end - take.frames.start), take.motion
+                both.append(replace(motion, t_s=motion.t_s[part] - motion.t_s[part.start], q=motion.q[part]))
+            files = write_reach_recording(Path(place), recording.name, *both)
+            found = read_reach_recording(recording.name, *files, HumanModel.mocap23())
             said = [f"{role}: {take.said}" for role, take in takes.items() if take.said]
             _say(console, recording.name, end - begin, "; ".join([*said, *found.notes]))
         folder.mkdir(exist_ok=True)
@@ -155,11 +158,6 @@ def _write_two_people(
     console.print(f"{settings.markers} -> {folder}: {len(names)} recordings of two people", markup=False,
                   highlight=False, soft_wrap=True)  # fmt: skip
     return 0
-
-
-def _cut(motion: Motion, begin: int, frames: int) -> Motion:
-    part = slice(begin, begin + frames)
-    return Motion(motion.t_s[part] - motion.t_s[begin], motion.q[part], motion.dof_names, frame_id=motion.frame_id)
 
 
 def _marker_files(sources: tuple[str, ...]) -> list[Path]:

@@ -115,10 +115,17 @@ def _checked_header(
     return header
 
 
-def _check_number(where: str, text: str, gaps: bool) -> None:
+def number_in(text: str) -> float | None:
+    """Return the number that a field holds, None if it holds none; 1_0, which Python reads as 10, is a mistake."""
     try:
-        value = float("" if "_" in text else text)  # Python reads 1_0 as 10; in a file it is a mistake
-    except ValueError as trouble:
-        raise LibraryFormatError(f"{where}: wanted a number, got {text!r:.40}; correct it") from trouble
+        return float("" if "_" in text else text)
+    except ValueError:
+        return None
+
+
+def _check_number(where: str, text: str, gaps: bool) -> None:
+    value = number_in(text)
+    if value is None:
+        raise LibraryFormatError(f"{where}: wanted a number, got {text!r:.40}; correct it")
     if not np.isfinite(value) and not gaps:
         raise LibraryFormatError(f"{where}: wanted a finite number, got {value}; repair or remove the motion")

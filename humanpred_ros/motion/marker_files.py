@@ -21,7 +21,7 @@ import numpy as np
 
 from humanpred_ros.errors import LibraryFormatError, UsageError
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.motion.csv_files import read_rows, read_table
+from humanpred_ros.motion.csv_files import number_in, read_rows, read_table
 
 SUFFIXES = (".c3d", ".trc", ".csv")
 _TIMES = ("t", "time", "time_s")
@@ -114,10 +114,9 @@ def _read_trc(path: Path) -> _Content:
     if len(rows) > 2:
         facts = {title.lower(): value for title, value in zip(rows[1][1], rows[2][1], strict=False)}
     rate = facts.get("datarate")
-    try:
-        rate_hz = float(rate) if rate else None
-    except ValueError as trouble:
-        raise LibraryFormatError(f"{path}: DataRate: wanted a number, got {rate!r}") from trouble
+    rate_hz = number_in(rate) if rate else None
+    if rate and rate_hz is None:
+        raise LibraryFormatError(f"{path}: DataRate: wanted a number, got {rate!r}")
     names, points, columns = _two_headers(path, rows, re.compile(r"[xyz]\d+", re.IGNORECASE))
     return names, points, columns.get("time"), facts.get("units") or None, rate_hz
 
@@ -132,8 +131,7 @@ def _read_csv(path: Path) -> _Content:
     if not found:
         names, points, _ = _two_headers(path, rows, re.compile("[xyz]", re.IGNORECASE))
         units = {field.lower() for _, row in rows[:8] for field in row} & {"mm", "cm", "m"}
-        rate = rows[1][1][0]
-        return names, points, None, units.pop() if len(units) == 1 else None, float(rate) if _is_number(rate) else None
+        return names, points, None, units.pop() if len(units) == 1 else None, number_in(rows[1][1][0])
     lacking = sorted(marker for marker, axes in found.items() if len(axes) < 3)
     if lacking:
         raise LibraryFormatError(
@@ -162,25 +160,16 @@ def _two_headers(
     names = [above[c] if c < len(above) else "" for c in starts]
     titles = above if above[0] else axes  # TRC has Frame# and Time beside the labels, Nexus beside the axes
     width, first = starts[-1] + 3, k + 1
-    while first < len(rows) and not _is_number(rows[first][1][0]):
+    while first < len(rows) and number_in(rows[first][1][0]) is None:
         first += 1  # units
     numbers = np.full((len(rows) - first, width), np.nan)
     for t, (line, row) in enumerate(rows[first:]):
         if len(row) > width and any(row[width:]):
             raise LibraryFormatError(f"{path}:{line}: wanted {width} fields, got {len(row)}; repair the row")
         for c, field in enumerate(row[:width]):
-            if field:
-                if not _is_number(field):
-                    raise LibraryFormatError(f"{path}:{line}: column {c + 1}: wanted a number, got {field!r:.40}")
-                numbers[t, c] = float(field)
+            if field and (value := number_in(field)) is None:
+                raise LibraryFormatError(f"{path}:{line}: column {c + 1}: wanted a number, got {field!r:.40}")
+            numbers[t, c] = value if field else np.nan
     others = {titles[c].lower(): numbers[:, c] for c in range(starts[0]) if c < len(titles)}
     points = np.stack([numbers[:, c : c + 3] for c in starts], axis=1)
     return names, points, others
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float("" if "_" in text else text)
-    except ValueError:
-        return False
-    return True

@@ -172,8 +172,12 @@ class MarkerReader:
             MotionError: markers that do not determine all DoFs, or cannot be right; with the file.
         """
         try:
-            find = self._all_found if self._names.labels == "shape" else self._labelled
-            worn, points = find(recording)
+            if self._names.labels == "shape":  # by shape in the first frame, and by closest distance from then on
+                worn, seen = MarkerSet(list(self._all.values())), self._in_metres(recording)
+                start = find_start(worn, seen[0], self._shapes)
+                points = label_markers(worn, list(seen), recording.t_s, start, self._shapes, self._config)
+            else:
+                worn, points = self._labelled(recording)
             skeleton = MarkerSkeleton(markers=worn, config=self._config, shapes=self._shapes)
             found = skeleton.postures(points, recording.t_s)
             complete = np.flatnonzero(found.complete)
@@ -200,11 +204,8 @@ class MarkerReader:
 
     def _labelled(self, recording: MarkerRecording) -> tuple[MarkerSet, FloatArray]:
         """Return the markers that the recording has by its labels, and where they are (T, M, 3) in metres, z up."""
-        needed = (
-            {name for pair in ANATOMICAL.values() for name in pair}
-            | set(self._person.markers)
-            | set(self._person.extra)
-        )
+        needed = {name for pair in ANATOMICAL.values() for name in pair}
+        needed |= {*self._person.markers, *self._person.extra}
         labels = {name: self._person.prefix + self._person.markers.get(name, name) for name in self._all}
         lacking = [f"{name} (as {label!r})" for name, label in labels.items()
                    if name in needed and label not in recording.names]  # fmt: skip
@@ -223,13 +224,6 @@ class MarkerReader:
                 )
         columns = [recording.names.index(labels[name]) for name in worn]
         return MarkerSet([self._all[name] for name in worn]), self._in_metres(recording)[:, columns]
-
-    def _all_found(self, recording: MarkerRecording) -> tuple[MarkerSet, FloatArray]:
-        """Return all markers, and where they are (T, M, 3), found by shape and then by closest distance."""
-        worn = MarkerSet(list(self._all.values()))
-        points = self._in_metres(recording)
-        start = find_start(worn, points[0], self._shapes)
-        return worn, label_markers(worn, list(points), recording.t_s, start, self._shapes, self._config)
 
     def _in_metres(self, recording: MarkerRecording) -> FloatArray:
         unit = self._names.units or (recording.unit or "m").strip().lower()

@@ -185,13 +185,14 @@ def read_reach_recording(
     return ReachRecording(name, motions[ACTIVE], motions[PASSIVE], tuple(jumps), tuple(notes), config.least_frames)
 
 
-def write_reach_recording(folder: Path, name: str, active: Motion, passive: Motion) -> None:
-    """Write `<name>_active.csv` and `<name>_passive.csv`; reading them gives the same numbers."""
-    for role, motion in ((ACTIVE, active), (PASSIVE, passive)):
+def write_reach_recording(folder: Path, name: str, active: Motion, passive: Motion) -> tuple[Path, Path]:
+    """Write `<name>_active.csv` and `<name>_passive.csv` and return them; reading them gives the same numbers."""
+    files = folder / f"{name}_{ACTIVE}.csv", folder / f"{name}_{PASSIVE}.csv"
+    for path, motion in zip(files, (active, passive), strict=True):
         # repr of a float is the shortest text that reads back as the same number.
         lines = [",".join(repr(float(x)) for x in (t, *q)) for t, q in zip(motion.t_s, motion.q, strict=True)]
-        text = "\n".join([",".join((TIME, *motion.dof_names)), *lines]) + "\n"
-        (folder / f"{name}_{role}.csv").write_text(text, encoding="utf-8")
+        path.write_text("\n".join([",".join((TIME, *motion.dof_names)), *lines]) + "\n", encoding="utf-8")
+    return files
 
 
 def find_jumps(
