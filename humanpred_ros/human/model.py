@@ -166,9 +166,24 @@ class HumanModel:
         return poses
 
     def surface(self, spacing_m: float) -> SurfacePoints:
-        """Return points that cover the surface of all bodies, each fixed to its link (see `sample_bodies`)."""
+        """Return points so that no surface point of any body is farther than `spacing_m` (metres) from one of them.
+
+        Neighbours are at most `spacing_m` apart on the surface, and each body is covered whole, also where it lies
+        inside another: that keeps the points independent of the posture, and such points fall in voxels that are
+        occupied anyway.
+
+        Raises:
+            HumanModelError: a model without bodies, or a spacing that is not a positive length.
+        """
+        if not (np.isfinite(spacing_m) and spacing_m > 0):
+            raise HumanModelError(f"surface points: wanted a positive spacing in metres, got {spacing_m}")
+        if not self.bodies:
+            raise HumanModelError("surface points: wanted a model with at least one <collision>, got none; add bodies")
         if spacing_m not in self._surfaces:
-            self._surfaces[spacing_m] = sample_bodies(self.bodies, self.link_names, spacing_m)
+            points = [body.shape.sample(spacing_m) @ body.T_link_body[:3, :3].T + body.T_link_body[:3, 3]
+                      for body in self.bodies]  # fmt: skip
+            links = np.repeat([self.link_names.index(body.link) for body in self.bodies], [len(p) for p in points])
+            self._surfaces[spacing_m] = SurfacePoints(_readonly(links), _readonly(np.concatenate(points)))
         return self._surfaces[spacing_m]
 
     def surface_points(self, q: ArrayLike, spacing_m: float = 0.02) -> FloatArray:
@@ -195,32 +210,6 @@ def _readonly(array: NDArray[T]) -> NDArray[T]:
     array = np.array(array)
     array.setflags(write=False)
     return array
-
-
-def sample_bodies(bodies: Sequence[Body], link_names: Sequence[str], spacing_m: float) -> SurfacePoints:
-    """Return points so that no surface point of any body is farther than `spacing_m` from one of them.
-
-    Neighbours are at most `spacing_m` apart on the surface, and each body is covered whole, also where it lies inside
-    another: that keeps the points independent of the posture, and such points fall in voxels that are occupied anyway.
-
-    Args:
-        bodies: the solids, at least one.
-        link_names: the model's links, to number them.
-        spacing_m: a length in metres.
-
-    Raises:
-        HumanModelError: no bodies, or a spacing that is not a positive length.
-    """
-    if not (np.isfinite(spacing_m) and spacing_m > 0):
-        raise HumanModelError(f"surface points: wanted a positive spacing in metres, got {spacing_m}")
-    if not bodies:
-        raise HumanModelError("surface points: wanted a model with at least one <collision>, got none; add bodies")
-    links, points = [], []
-    for body in bodies:
-        local = body.shape.sample(spacing_m) @ body.T_link_body[:3, :3].T + body.T_link_body[:3, 3]
-        points.append(local)
-        links.append(np.full(len(local), link_names.index(body.link)))
-    return SurfacePoints(_readonly(np.concatenate(links)), _readonly(np.concatenate(points)))
 
 
 def human_named(name: str) -> HumanModel:

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from humanpred_ros.errors import HumanModelError
 from humanpred_ros.geometry.lattice import VoxelGrid
-from humanpred_ros.human.model import HumanModel, sample_bodies
+from humanpred_ros.human.model import HumanModel
 
 
 @pytest.fixture(scope="module")
@@ -78,8 +78,3 @@ def test_finer_points_find_few_voxels_that_the_standard_spacing_misses(human: Hu
 def test_spacings_that_are_no_lengths_are_refused(human: HumanModel, spacing: float) -> None:
     with pytest.raises(HumanModelError, match="positive spacing"):
         human.surface(spacing)
-
-
-def test_a_model_without_bodies_cannot_be_sampled() -> None:
-    with pytest.raises(HumanModelError, match="at least one <collision>"):
-        sample_bodies([], ["a"], 0.02)

@@ -85,13 +85,16 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="session")
 def make_run(tmp_path_factory: pytest.TempPathFactory, human: HumanModel, scene: Scene) -> Callable[..., Path]:
-    """Return a function that writes the run of a script, given by its fields, and returns its folder."""
+    """Return a function that writes the run of a script, given by its fields, once, and returns its folder."""
     swept = swept_masks(human, scene)
+    made: dict[str, Path] = {}
 
     def make(**fields: Any) -> Path:
-        folder = tmp_path_factory.mktemp("run")
-        write_run(folder, Script(**fields), human, scene, swept)
-        return folder
+        script = Script(**fields)
+        if repr(script) not in made:
+            made[repr(script)] = tmp_path_factory.mktemp("run")
+            write_run(made[repr(script)], script, human, scene, swept)
+        return made[repr(script)]
 
     return make
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -188,7 +189,7 @@ def test_full_turns_of_endless_joints_are_no_motion(make_run: Callable[..., Path
 def test_what_is_no_run_is_refused_with_a_way_out(make_run: Callable[..., Path], tmp_path: Path) -> None:
     with pytest.raises(BagError, match=r"humanpred demo"):
         read_run(tmp_path / "nothing")
-    broken = make_run(n_postures=12, held=0)
+    broken = shutil.copytree(make_run(n_postures=12, held=0), tmp_path / "broken")
     file = next((broken / "bag").glob("*.mcap"))
     file.write_bytes(file.read_bytes()[:-200])
     with pytest.raises(BagError, match=r"salvage"):
