@@ -20,9 +20,9 @@ from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.occupancy import future_kernels as kernels
+from humanpred_ros.occupancy.future_kernels import Float32Array
+from humanpred_ros.occupancy.futures import MOST_FUTURES, FutureVoxels, RecordedFutures, SweepSettings
 from humanpred_ros.occupancy.predictor import Prediction, Predictor, PredictorRequest
-from humanpred_ros.occupancy.recorded_futures import Float32Array, RecordedFutures
-from humanpred_ros.occupancy.sampled_futures import MOST_FUTURES, FutureVoxels, SweepSettings
 from humanpred_ros.recognition.classifier import Classifier
 from humanpred_ros.recognition.forest_classifier import ForestClassifier
 from humanpred_ros.settings import setting

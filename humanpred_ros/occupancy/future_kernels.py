@@ -14,17 +14,39 @@ that machines agree. What the arguments have in common:
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.compiled import exact, exact_part
-from humanpred_ros.occupancy.recorded_futures import MOMENTS, Float32Array, Ways
+from humanpred_ros.occupancy.voxeliser import chain
 
 BitArray = NDArray[np.uint32]
-
+Float32Array = NDArray[np.float32]
+#: Moments between two exemplar postures: so many times finer a quick movement can be followed.
+MOMENTS = 4
 #: The most that is said of a place the body is not in yet: 1 is for where it is now, which a planner may rely on.
 NEVER_CERTAIN = np.float32(1.0 - 2.0**-10)
+
+
+class Ways(NamedTuple):
+    """Poses of P parts in K motions, library frame, as compiled code takes them.
+
+    Attributes:
+        present: (M, P, 3, 4) poses in the exemplar postures.
+        pose: (N, 3, 4) poses on the way, motion by motion, and part by part within a motion.
+        moment: (N,) when in its motion each of these is passed, `MOMENTS` to an exemplar posture.
+        first: (K, P + 1) where the poses of each motion and part begin, and where the last part's end.
+        begin: (K + 1,) where each motion's exemplar postures begin.
+    """
+
+    present: Float32Array
+    pose: Float32Array
+    moment: NDArray[np.int64]
+    first: NDArray[np.int64]
+    begin: NDArray[np.int64]
 
 
 @exact
@@ -138,7 +160,7 @@ def follow(
                             R[a, 0] * ways.pose[n, 0, b] + R[a, 1] * ways.pose[n, 1, b] + R[a, 2] * ways.pose[n, 2, b]
                         )
                     pose[a, 3] = ways.pose[n, a, 3] + left * (now[p, a, 3] - exemplar[a, 3])
-                _chain(T_grid_library, pose, M)
+                chain(T_grid_library, pose, M)
                 begin, end = rounds[p, n % n_rounds], rounds[p, n % n_rounds + 1]
                 xs, ys, zs = x[begin:end], y[begin:end], z[begin:end]
                 if _holds_ball(shape, M, balls[p], per_voxel):
@@ -187,7 +209,7 @@ def sweep(
                 last = n
                 begin, end = rounds[p, turn % n_rounds], rounds[p, turn % n_rounds + 1]
                 turn += 1
-                _chain(T_grid_human, poses[s, n, p], M)
+                chain(T_grid_human, poses[s, n, p], M)
                 if _holds_ball(shape, M, balls[p], per_voxel):
                     _voxels_within(M, x[begin:end], y[begin:end], z[begin:end], shape, index)
                 else:
@@ -275,15 +297,6 @@ def _most_in_a_round(rounds: NDArray[np.int64]) -> int:
         for r in range(rounds.shape[1] - 1):
             most = max(most, rounds[p, r + 1] - rounds[p, r])
     return most
-
-
-@exact_part
-def _chain(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
-    """Write the upper three rows of the product of transforms A (4, 4) and B (3, 4)."""
-    for a in range(3):
-        for b in range(4):
-            out[a, b] = A[a, 0] * B[0, b] + A[a, 1] * B[1, b] + A[a, 2] * B[2, b]
-        out[a, 3] += A[a, 3]
 
 
 @exact_part

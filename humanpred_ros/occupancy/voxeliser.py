@@ -134,7 +134,7 @@ def _mark(
     for t in range(len(poses)):
         value = values[t]
         for s in range(len(link)):
-            _affine(T_grid_human, poses[t, link[s]], M)
+            chain(T_grid_human, poses[t, link[s]], M)
             for begin in range(first[s], first[s + 1], _BLOCK):
                 n = min(_BLOCK, first[s + 1] - begin)
                 _indices(M, x[begin : begin + n], y[begin : begin + n], z[begin : begin + n], shape, index)
@@ -143,11 +143,12 @@ def _mark(
 
 
 @exact_part
-def _affine(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
-    """Write the upper three rows of the product of two (4, 4) transforms."""
+def chain(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
+    """Write the upper three rows of the product of transforms A (4, 4) and B (3 or 4, 4)."""
     for a in range(3):
         for b in range(4):
-            out[a, b] = A[a, 0] * B[0, b] + A[a, 1] * B[1, b] + A[a, 2] * B[2, b] + A[a, 3] * B[3, b]
+            out[a, b] = A[a, 0] * B[0, b] + A[a, 1] * B[1, b] + A[a, 2] * B[2, b]
+        out[a, 3] += A[a, 3]
 
 
 @exact_part

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from humanpred_ros.errors import SettingsError
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.occupancy.sampled_futures import MOST_FUTURES
+from humanpred_ros.occupancy.futures import MOST_FUTURES
 from humanpred_ros.reaching.between_ends import PostureBounds
 from humanpred_ros.reaching.end_postures import EndPosture, standing
 from humanpred_ros.reaching.planner import LEAST_NOISE, ReachPlanner, ReachPlannerSettings, unit_deviation

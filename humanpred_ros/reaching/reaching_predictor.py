@@ -21,8 +21,8 @@ from humanpred_ros.geometry.solids import Obstacle
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary, unwrap_angles
 from humanpred_ros.motion.reach_recordings import ACTIVE, find_jumps
+from humanpred_ros.occupancy.futures import SampledFutures, SweepSettings
 from humanpred_ros.occupancy.predictor import Prediction, Predictor, PredictorRequest
-from humanpred_ros.occupancy.sampled_futures import SampledFutures, SweepSettings
 from humanpred_ros.occupancy.voxeliser import checked_placement
 from humanpred_ros.reaching.futures import ReachFutures, ReachFuturesSettings
 from humanpred_ros.reaching.place_classifier import PlaceClassifier

@@ -50,58 +50,6 @@ _CALIBRATED_ON = slice(None, None, 4)
 _EXEMPLARS = ("label", "first", "q", "features", "start_pose")
 
 
-@dataclass(frozen=True, eq=False)
-class ForestModel:
-    """A trained forest: immutable.
-
-    Attributes:
-        settings: it was trained with.
-        labels: C class labels.
-        exemplars: what it was trained on.
-        forest: the trees, with their votes.
-        calibration: from votes to probabilities.
-        novelty: from distances to the probability of no class.
-        place: where the library's people stand.
-    """
-
-    settings: ForestSettings
-    labels: tuple[int, ...]
-    exemplars: Exemplars
-    forest: Forest
-    calibration: Calibration
-    novelty: Novelty
-    place: StandingPlace
-
-
-def fit_forest(library: MotionLibrary, human: HumanModel, settings: ForestSettings) -> ForestModel:
-    """Learn from a library; the same library, settings and seed give the same model.
-
-    Raises:
-        LibraryFormatError: motions without a label, one class only, a class of one motion, or one that does not move.
-        HumanModelError: a library of other DoFs than the human's.
-    """
-    check_trainable(library)
-    human.check_dofs(library.dof_names)
-    exemplars = Exemplars.of_motions(library.motions, library.labels, human, settings.n_postures)
-    learned = drawn_motions(exemplars.names, settings)
-    trees = [_grow(exemplars, learned[:, b], b, settings) for b in range(settings.n_trees)]
-    return _finished(library.labels, exemplars, trees, settings)
-
-
-def refit_without(model: ForestModel, name: str) -> ForestModel:
-    """Return what `fit_forest` would without one motion: only trees that had learned from it are grown anew."""
-    exemplars, settings = model.exemplars.without(name), model.settings
-    before = drawn_motions(model.exemplars.names, settings)
-    learned = drawn_motions(exemplars.names, settings)
-    k = model.exemplars.names.index(name)
-    changed = before[k] | (np.delete(before, k, axis=0) != learned).any(axis=0)
-    trees = [
-        _grow(exemplars, learned[:, b], b, settings) if changed[b] else model.forest.tree(b)
-        for b in range(settings.n_trees)
-    ]
-    return _finished(model.labels, exemplars, trees, settings)
-
-
 def drawn_motions(names: tuple[str, ...], settings: ForestSettings) -> NDArray[np.bool_]:
     """Return (K, B) which motions each tree learns from; whether a motion is drawn depends on no other motion."""
     chance = [np.random.default_rng([settings.seed, *name.encode()]).random(settings.n_trees) for name in names]
@@ -110,42 +58,74 @@ def drawn_motions(names: tuple[str, ...], settings: ForestSettings) -> NDArray[n
     return drawn
 
 
-def _grow(exemplars: Exemplars, drawn: NDArray[np.bool_], b: int, settings: ForestSettings) -> Tree:
-    mine = drawn[exemplars.motion]
-    label = exemplars.label[exemplars.motion][mine]
-    return grow_tree(exemplars.features[mine], label, settings.seed + b, settings.min_samples_leaf)
+@dataclass(frozen=True, eq=False)
+class ForestModel:
+    """What the classifier has learned: immutable.
+
+    Attributes:
+        labels: C class labels.
+        exemplars: the postures it learned from.
+        forest: the trees, with their votes.
+        calibration: from votes to probabilities.
+        novelty: from distances to the probability of no class.
+        place: where the library's people stand.
+    """
+
+    labels: tuple[int, ...]
+    exemplars: Exemplars
+    forest: Forest
+    calibration: Calibration
+    novelty: Novelty
+    place: StandingPlace
+
+    @classmethod
+    def learned(
+        cls,
+        labels: tuple[int, ...],
+        exemplars: Exemplars,
+        settings: ForestSettings,
+        known: Sequence[Tree | None] = (),
+    ) -> ForestModel:
+        """Grow the trees that are not known yet, and learn the rest; the same arguments give the same model."""
+        drawn, of_class = drawn_motions(exemplars.names, settings), exemplars.label[exemplars.motion]
+        trees = list(known) or [None] * settings.n_trees
+        for b, tree in enumerate(trees):
+            if tree is None:
+                mine = drawn[exemplars.motion, b]
+                x, label = exemplars.features[mine], of_class[mine]
+                trees[b] = grow_tree(x, label, settings.seed + b, settings.min_samples_leaf)
+        forest = _joined(labels, exemplars, [tree for tree in trees if tree is not None], settings)
+        some = _CALIBRATED_ON
+        votes = forest.vote(forest.sample_leaves[some], ~drawn[exemplars.motion][some])
+        reached_m = exemplars.features[some, REACHED].astype(np.float64)
+        return cls(
+            labels,
+            exemplars,
+            forest,
+            Calibration.fit(votes, reached_m, of_class[some]),
+            Novelty.fit(exemplars.features, exemplars.first, exemplars.label),
+            StandingPlace.of_starts(exemplars.start_pose),
+        )
+
+    def without(self, name: str, settings: ForestSettings) -> ForestModel:
+        """Return the model learned without one motion: only trees that had learned from it are grown anew."""
+        exemplars = self.exemplars.without(name)
+        before, now = (drawn_motions(some.names, settings) for some in (self.exemplars, exemplars))
+        k = self.exemplars.names.index(name)
+        changed = before[k] | (np.delete(before, k, axis=0) != now).any(axis=0)
+        kept = [None if changed[b] else self.forest.tree(b) for b in range(settings.n_trees)]
+        return ForestModel.learned(self.labels, exemplars, settings, kept)
 
 
-def _joined(
-    labels: tuple[int, ...], exemplars: Exemplars, trees: Sequence[Tree], settings: ForestSettings
-) -> tuple[Forest, NDArray[np.bool_]]:
-    """Return the forest of trees grown on these exemplars, and which postures each has learned from (M, B)."""
+def _joined(labels: tuple[int, ...], exemplars: Exemplars, trees: Sequence[Tree], settings: ForestSettings) -> Forest:
+    """Return the forest of trees grown on these exemplars. Raises ArrayError if their numbers do not fit."""
     if len(trees) != settings.n_trees or set(exemplars.label.tolist()) != set(range(len(labels))):
         raise ArrayError(
             f"forest: wanted {settings.n_trees} trees and exemplars of each of the {len(labels)} classes, "
             f"got {len(trees)} and those of classes {sorted(set(exemplars.label.tolist()))}"
         )
     learned = drawn_motions(exemplars.names, settings)[exemplars.motion]
-    label = exemplars.label[exemplars.motion]
-    return Forest.of_trees(trees, exemplars.features, label, learned, len(labels)), learned
-
-
-def _finished(
-    labels: tuple[int, ...], exemplars: Exemplars, trees: Sequence[Tree], settings: ForestSettings
-) -> ForestModel:
-    forest, learned = _joined(labels, exemplars, trees, settings)
-    some = _CALIBRATED_ON
-    votes = forest.vote(forest.sample_leaves[some], ~learned[some])
-    reached_m = exemplars.features[some, REACHED].astype(np.float64)
-    return ForestModel(
-        settings,
-        labels,
-        exemplars,
-        forest,
-        Calibration.fit(votes, reached_m, exemplars.label[exemplars.motion][some]),
-        Novelty.fit(exemplars.features, exemplars.first, exemplars.label),
-        StandingPlace.of_starts(exemplars.start_pose),
-    )
+    return Forest.of_trees(trees, exemplars.features, exemplars.label[exemplars.motion], learned, len(labels))
 
 
 class ForestClassifier(Classifier):
@@ -173,12 +153,21 @@ class ForestClassifier(Classifier):
         self._pelvis = human.link_names.index(PELVIS)
 
     def fit(self, library: MotionLibrary) -> ForestClassifier:
-        """Learn; return self. Raises LibraryFormatError if the library does not suffice."""
-        return self._take(fit_forest(library, self.human, self.settings))
+        """Learn; return self; the same library, settings and seed give the same model.
+
+        Raises:
+            LibraryFormatError: motions without a label, one class only, a class of one motion, or one that does not
+                move.
+            HumanModelError: a library of other DoFs than the human's.
+        """
+        check_trainable(library)
+        self.human.check_dofs(library.dof_names)
+        exemplars = Exemplars.of_motions(library.motions, library.labels, self.human, self.settings.n_postures)
+        return self._take(ForestModel.learned(library.labels, exemplars, self.settings))
 
     def fit_without(self, library: MotionLibrary, name: str) -> ForestClassifier:
         """Return a classifier learned without one motion; only trees that had seen it are grown anew."""
-        return ForestClassifier(self.human, self.settings)._take(refit_without(self._fitted(), name))
+        return ForestClassifier(self.human, self.settings)._take(self._fitted().without(name, self.settings))
 
     def fresh(self, settings: Settings | None = None) -> ForestClassifier:
         return ForestClassifier(self.human, settings or self.settings)._take(self._fitted())
@@ -217,10 +206,9 @@ class ForestClassifier(Classifier):
         points = np.ascontiguousarray(exemplars.features[:, COLUMNS])
         return self._take(
             ForestModel(
-                self.settings,
                 labels,
                 exemplars,
-                _joined(labels, exemplars, trees, self.settings)[0],
+                _joined(labels, exemplars, trees, self.settings),
                 Calibration(state["calibration"]),
                 Novelty(points, exemplars.first, state["novelty"]),
                 StandingPlace(state["place_pose"], state["place_spread"]),
@@ -315,7 +303,7 @@ class ForestClassifier(Classifier):
         self._place = PlaceTracker(model.place)
         self._features = np.zeros((1, N_FEATURES))
         self._x = self._features.astype(np.float32)
-        prior = model.settings.unknown_prior
+        prior = self.settings.unknown_prior
         self._prior_log_odds = math.log(prior / (1.0 - prior))
         self.start()
         return self

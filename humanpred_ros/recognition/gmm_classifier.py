@@ -15,7 +15,7 @@ from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary, is_angle, unwrap_angles
 from humanpred_ros.recognition.classifier import Classifier, ClassPosterior, check_trainable
-from humanpred_ros.recognition.mixture import GaussianMixture, MixtureBank, fit_mixture, regress
+from humanpred_ros.recognition.mixture import GaussianMixtures, fit_mixture, regress
 from humanpred_ros.settings import Settings, setting
 
 _TURN = 2 * np.pi
@@ -74,7 +74,7 @@ class ClassMixtures:
 
     Attributes:
         labels: C class labels.
-        mixtures: C mixtures over F features: the postures' D, with the phase before them if it is a feature.
+        mixtures: one a class, over F features: the postures' D, with the phase before them if it is a feature.
         motions_per_class: C counts of the motions learned from.
         dof_names: D names.
         nominal_duration_s: median duration of the motions learned from.
@@ -84,23 +84,22 @@ class ClassMixtures:
     """
 
     labels: tuple[int, ...]
-    mixtures: tuple[GaussianMixture, ...]
+    mixtures: GaussianMixtures
     motions_per_class: tuple[int, ...]
     dof_names: tuple[str, ...]
     nominal_duration_s: float
 
     def __post_init__(self) -> None:
         n = len(self.labels)
-        if not n or len(set(self.labels)) != n or len(self.mixtures) != n or len(self.motions_per_class) != n:
+        n_mixtures, n_features = len(self.mixtures.weights), self.mixtures.n_features
+        if len(set(self.labels)) != n or n_mixtures != n or len(self.motions_per_class) != n:
             raise ArrayError(
                 f"class mixtures: wanted one mixture and one count for each of different labels, got labels "
-                f"{self.labels}, {len(self.mixtures)} mixtures and {len(self.motions_per_class)} counts"
+                f"{self.labels}, {n_mixtures} mixtures and {len(self.motions_per_class)} counts"
             )
-        n_features = {mixture.n_features for mixture in self.mixtures}
-        if len(n_features) != 1 or n_features.pop() - len(self.dof_names) not in (0, 1):
+        if n_features - len(self.dof_names) not in (0, 1):
             raise ArrayError(
-                f"class mixtures: wanted all over {len(self.dof_names)} features, or one more with the phase, "
-                f"got {[mixture.n_features for mixture in self.mixtures]}"
+                f"class mixtures: wanted {len(self.dof_names)} features, or one more with the phase, got {n_features}"
             )
         if min(self.motions_per_class) < 1 or not 0 < self.nominal_duration_s < np.inf:
             raise ArrayError(
@@ -111,7 +110,7 @@ class ClassMixtures:
     @property
     def has_phase(self) -> bool:
         """Whether the first feature is the phase."""
-        return self.mixtures[0].n_features == len(self.dof_names) + 1
+        return self.mixtures.n_features == len(self.dof_names) + 1
 
 
 def fit_class_mixtures(
@@ -144,14 +143,14 @@ def fit_class_mixtures(
     ]
     return ClassMixtures(
         library.labels,
-        tuple(mixtures),
+        GaussianMixtures.joined(mixtures),
         tuple(len(library.of_class(label)) for label in library.labels),
         library.dof_names,
         float(np.median([motion.duration_s for motion in library])),
     )
 
 
-def _fit_class(library: MotionLibrary, label: int, settings: GmmSettings) -> GaussianMixture:
+def _fit_class(library: MotionLibrary, label: int, settings: GmmSettings) -> GaussianMixtures:
     samples = np.vstack([training_samples(motion, settings) for motion in library.of_class(label)])
     rng = np.random.default_rng([settings.seed, label % 2**64])  # a seed sequence takes no negative labels
     try:
@@ -180,12 +179,6 @@ def training_samples(motion: Motion, settings: GmmSettings) -> FloatArray:
     if not settings.phase_feature:
         return postures
     return np.column_stack([np.arange(settings.n_phase_frames, dtype=np.float64), postures])
-
-
-def expected_motions(classes: ClassMixtures, settings: GmmSettings) -> FloatArray:
-    """Return the (C, n_phase_frames, D) postures expected in the course of a motion of each class (P1 III, GMR)."""
-    phase = np.arange(settings.n_phase_frames, dtype=np.float64)
-    return np.stack([regress(mixture, phase) for mixture in classes.mixtures])
 
 
 class _Seen(NamedTuple):
@@ -245,9 +238,9 @@ class GmmClassifier(Classifier):
         classes = self._fitted()
         return {
             "labels": np.array(classes.labels, dtype=np.int64),
-            "weights": np.stack([mixture.weights for mixture in classes.mixtures]),
-            "means": np.stack([mixture.means for mixture in classes.mixtures]),
-            "covariances": np.stack([mixture.covariances for mixture in classes.mixtures]),
+            "weights": classes.mixtures.weights,
+            "means": classes.mixtures.means,
+            "covariances": classes.mixtures.covariances,
             "motions_per_class": np.array(classes.motions_per_class, dtype=np.int64),
             "nominal_duration_s": np.array(classes.nominal_duration_s),
             "expected_q": self.expected_q,
@@ -256,18 +249,17 @@ class GmmClassifier(Classifier):
     @classmethod
     def from_state(cls, human: HumanModel, settings: Settings, state: Mapping[str, NDArray[Any]]) -> GmmClassifier:
         self = cls(human, settings)
-        parts = zip(state["weights"], state["means"], state["covariances"], strict=True)
         self._take(
             ClassMixtures(
                 tuple(int(label) for label in state["labels"]),
-                tuple(GaussianMixture(*part) for part in parts),
+                GaussianMixtures(state["weights"], state["means"], state["covariances"]),
                 tuple(int(n) for n in state["motions_per_class"]),
                 human.dof_names,
                 float(state["nominal_duration_s"]),
             )
         )
-        found = {len(weights) for weights in state["weights"]}
-        if found != {self.settings.n_components}:
+        found = state["weights"].shape[1]
+        if found != self.settings.n_components:
             raise ArrayError(f"gmm: wanted {self.settings.n_components} components in every mixture, got {found}")
         shape = (len(state["labels"]), self.settings.n_phase_frames, len(human.dof_names))
         self._expected_q = checked("expected motions", state["expected_q"], shape)
@@ -275,7 +267,7 @@ class GmmClassifier(Classifier):
 
     @property
     def expected_q(self) -> FloatArray:
-        """(C, n_phase_frames, D) the expected motion of each class, in the library's frame.
+        """(C, n_phase_frames, D) the expected motion of each class (P1 III, GMR), in the library's frame.
 
         Settings without the phase need mixtures with it beside their own, which are fitted when this is first asked.
         """
@@ -284,7 +276,8 @@ class GmmClassifier(Classifier):
             if not classes.has_phase:
                 library = MotionLibrary("the library learned from", self._motions)
                 classes = fit_class_mixtures(library, self.settings.replaced(phase_feature=True))
-            self._expected_q = expected_motions(classes, self.settings)
+            phase = np.arange(self.settings.n_phase_frames, dtype=np.float64)
+            self._expected_q = regress(classes.mixtures, phase)
         return self._expected_q
 
     @property
@@ -323,7 +316,7 @@ class GmmClassifier(Classifier):
             last = self.settings.n_phase_frames - 1
             phase = np.clip((t_s - before.first_s) * (last / self.nominal_duration_s), 0.0, float(last))
             x = np.concatenate([[phase], x])
-        log_density = self._bank.log_density(x)
+        log_density = classes.mixtures.log_density(x)
         if not np.isfinite(log_density).all():
             raise ArrayError(
                 "classifier: a posture is so far from everything learned that its density cannot be computed; "
@@ -361,7 +354,6 @@ class GmmClassifier(Classifier):
         self._unwrapped = np.array(
             [self.settings.unwrap_angles and is_angle(name) for name in classes.dof_names], float
         )
-        self._bank = MixtureBank(classes.mixtures)
         window = self.settings.window_frames
         self._ring = None if window is None else np.zeros((window, len(classes.labels)))
         self._log_prior = np.zeros(len(classes.labels))

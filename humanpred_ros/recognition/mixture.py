@@ -1,7 +1,7 @@
 """Gaussian mixtures are the model of a class of motions (P1 III): their densities, their fit, and regression.
 
-Notation: N samples, D features, K components; w_k weights, mu_k means, S_k covariances,
-L_k the Cholesky factor S_k = L_k L_k^T. Densities are computed as logarithms throughout, because a posture
+Notation: N samples, D features, C mixtures of K components; w weights, mu means, S covariances,
+L the Cholesky factor S = L L^T. Densities are computed as logarithms throughout, because a posture
 far from every component has a density below the smallest float.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,15 +23,13 @@ _KMEANS_ITERATIONS = 100
 
 
 @dataclass(frozen=True, eq=False)
-class GaussianMixture:
-    """p(x) = sum_k w_k N(x | mu_k, S_k): immutable.
+class GaussianMixtures:
+    """C mixtures of K components each, p_c(x) = sum_k w_ck N(x | mu_ck, S_ck): immutable.
 
     Attributes:
-        weights: (K,) positive, sum 1.
-        means: (K, D).
-        covariances: (K, D, D) symmetric, positive definite.
-        whitening: (K, D, D) inverse Cholesky factors, L_k^-1; derived.
-        log_scale: (K,) ln w_k - D/2 ln 2 pi - ln det L_k; derived.
+        weights: (C, K) positive, sum 1 in each mixture.
+        means: (C, K, D).
+        covariances: (C, K, D, D) symmetric, positive definite.
 
     Raises:
         ArrayError: wrong shapes, weights that are no distribution, covariances not positive definite.
@@ -40,88 +38,57 @@ class GaussianMixture:
     weights: FloatArray
     means: FloatArray
     covariances: FloatArray
-    whitening: FloatArray = field(init=False, repr=False, compare=False)
-    log_scale: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        means = checked("mixture means", self.means, ("K", "D"))
-        n_components, n_features = means.shape
-        weights = checked("mixture weights", self.weights, (n_components,))
-        covariances = checked("mixture covariances", self.covariances, (n_components, n_features, n_features))
-        if (weights <= 0).any() or abs(float(weights.sum()) - 1.0) > 1e-9:
+        means = checked("mixture means", self.means, ("C", "K", "D"))
+        n_mixtures, n_components, n_features = means.shape
+        weights = checked("mixture weights", self.weights, (n_mixtures, n_components))
+        shape = (n_mixtures, n_components, n_features, n_features)
+        covariances = checked("mixture covariances", self.covariances, shape)
+        if not means.size or (weights <= 0).any() or np.abs(weights.sum(axis=1) - 1.0).max() > 1e-9:
             raise ArrayError(f"mixture weights: wanted positive numbers with sum 1, got {weights}")
         # Relative to the trace: a covariance of metres and of frames differ by ten orders of magnitude.
-        skew = np.abs(covariances - covariances.transpose(0, 2, 1)).max(axis=(1, 2))
-        if (skew > 1e-9 * np.trace(covariances, axis1=1, axis2=2)).any():
+        skew = np.abs(covariances - covariances.swapaxes(2, 3)).max(axis=(2, 3))
+        if (skew > 1e-9 * np.trace(covariances, axis1=2, axis2=3)).any():
             raise ArrayError(f"mixture covariances: wanted symmetric matrices, component {np.argmax(skew)} is not")
         factor = _cholesky(covariances)
-        log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+        log_det = np.log(np.diagonal(factor, axis1=2, axis2=3)).sum(axis=2)
         log_scale = np.log(weights) - 0.5 * n_features * np.log(2.0 * np.pi) - log_det
+        # W = L^-1 whitens: the squared Mahalanobis distance of x is |W x - W mu|^2. Features come first, so that one
+        # product along one long contiguous axis whitens a sample for all components.
+        whitening = np.linalg.inv(factor)
         object.__setattr__(self, "weights", frozen(weights))
         object.__setattr__(self, "means", frozen(means))
         object.__setattr__(self, "covariances", frozen(covariances))
-        object.__setattr__(self, "whitening", frozen(np.linalg.inv(factor)))
-        object.__setattr__(self, "log_scale", frozen(log_scale))
+        object.__setattr__(self, "_log_scale", log_scale)
+        object.__setattr__(self, "_whitening", np.ascontiguousarray(whitening.reshape(-1, n_features).T))
+        object.__setattr__(self, "_offset", np.einsum("ckij,ckj->cki", whitening, means))
 
-    @property
-    def n_components(self) -> int:
-        """K."""
-        return len(self.means)
+    @classmethod
+    def joined(cls, parts: Sequence[GaussianMixtures]) -> GaussianMixtures:
+        """Return all mixtures of several objects, which must agree on K and D."""
+        names = ("weights", "means", "covariances")
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def __getitem__(self, c: int) -> GaussianMixtures:
+        """Return one mixture (C = 1)."""
+        return GaussianMixtures(self.weights[c, None], self.means[c, None], self.covariances[c, None])
 
     @property
     def n_features(self) -> int:
         """D."""
-        return int(self.means.shape[1])
+        return int(self.means.shape[2])
 
     def log_density(self, x: FloatArray) -> FloatArray:
-        """Return (N,) ln p(x_n) for samples (N, D); finite for every finite sample."""
-        x = checked("samples", x, ("N", self.n_features))
-        joint = np.empty((len(x), self.n_components))
-        for k in range(self.n_components):
-            white = (x - self.means[k]) @ self.whitening[k].T
-            joint[:, k] = self.log_scale[k] - 0.5 * np.einsum("nd,nd->n", white, white)
-        return log_sum_exp(joint)
-
-
-class MixtureBank:
-    """The components of several mixtures, stacked so that one product whitens a sample for all of them.
-
-    With W_k = L_k^-1 the squared Mahalanobis distance of x to component k is |W_k x - W_k mu_k|^2; both W_k and
-    W_k mu_k are constants.
-    """
-
-    def __init__(self, mixtures: Sequence[GaussianMixture]) -> None:
-        """Stack mixtures over the same features; they may differ in their number of components."""
-        if not mixtures or len({mixture.n_features for mixture in mixtures}) != 1:
-            raise ArrayError("mixture bank: wanted at least one mixture, all over the same features")
-        self.n_classes = len(mixtures)
-        self.n_features = mixtures[0].n_features
-        self._n_components = max(mixture.n_components for mixture in mixtures)
-        # Missing components have weight 0: an infinitely negative log scale and nothing to whiten.
-        whitening = np.zeros((self.n_classes, self._n_components, self.n_features, self.n_features))
-        offset = np.zeros((self.n_classes, self._n_components, self.n_features))
-        self._log_scale = np.full((self.n_classes, self._n_components), -np.inf)
-        for m, mixture in enumerate(mixtures):
-            k = mixture.n_components
-            whitening[m, :k] = mixture.whitening
-            offset[m, :k] = np.einsum("kij,kj->ki", mixture.whitening, mixture.means)
-            self._log_scale[m, :k] = mixture.log_scale
-        # Features first: the product below then runs along one long contiguous axis.
-        self._whitening = np.ascontiguousarray(whitening.reshape(-1, self.n_features).T)
-        self._offset = offset.ravel()
-
-    def log_density(self, x: FloatArray) -> FloatArray:
-        """Return (C,) ln p(x | class) of one sample (F,); not finite where squares overflow.
+        """Return (C,) ln p_c(x) of one sample (D,); not finite where squares overflow.
 
         einsum keeps the product on this thread: handing so small a one to a pool costs more than it saves, and
         its summation order must not depend on the number of cores.
         """
+        log_scale, whitening, offset = (getattr(self, name) for name in ("_log_scale", "_whitening", "_offset"))
         with np.errstate(over="ignore", invalid="ignore"):
-            white = np.einsum("f,fr->r", x, self._whitening)
-            white -= self._offset
-            white = white.reshape(self.n_classes, self._n_components, self.n_features)
-            joint = self._log_scale - 0.5 * np.einsum("mkf,mkf->mk", white, white)
-            return log_sum_exp(joint)
+            white = np.einsum("f,fr->r", x, whitening).reshape(offset.shape) - offset
+            return log_sum_exp(log_scale - 0.5 * np.einsum("mkf,mkf->mk", white, white))
 
 
 def log_sum_exp(values: FloatArray) -> FloatArray:
@@ -139,8 +106,8 @@ def fit_mixture(
     covariance_floor: float = 1e-5,
     tolerance: float = 1e-4,
     max_iterations: int = 200,
-) -> GaussianMixture:
-    """Fit a mixture with full covariances: k-means from samples drawn at random, then EM (P1 III).
+) -> GaussianMixtures:
+    """Fit one mixture (C = 1) with full covariances: k-means from samples drawn at random, then EM (P1 III).
 
     Args:
         x: (N, D) samples; features are used as they are, unscaled.
@@ -193,7 +160,8 @@ def fit_mixture(
             covariances = np.where(constant[:, None], 0.0, em.covariances_)
             # Sums of rounded numbers make a matrix a little unsymmetric.
             covariances = 0.5 * (covariances + covariances.transpose(0, 2, 1))
-            fitted = GaussianMixture(em.weights_ / em.weights_.sum(), em.means_, covariances)
+            weights = em.weights_ / em.weights_.sum()
+            fitted = GaussianMixtures(weights[None], em.means_[None], covariances[None])
         except (ValueError, np.linalg.LinAlgError, ArrayError) as trouble:
             raise LibraryFormatError(
                 f"mixture: with {n_components} components and a covariance floor of {covariance_floor:g} "
@@ -205,30 +173,32 @@ def fit_mixture(
     return fitted
 
 
-def regress(mixture: GaussianMixture, phase: FloatArray) -> FloatArray:
-    """Return the (N, D) postures expected at phases: Gaussian mixture regression (P1 III; docs/papers.md).
+def regress(mixtures: GaussianMixtures, phase: FloatArray) -> FloatArray:
+    """Return the (C, N, D) postures expected at phases: Gaussian mixture regression (P1 III; docs/papers.md).
 
     Given the phase, every component predicts a posture linearly; they are averaged by each one's share of the phase's
     density.
 
     Args:
-        mixture: over 1 + D features of which the first is the phase.
-        phase: (N,) phases in the unit the mixture was fitted with (P1: frames 0 to 99).
+        mixtures: over 1 + D features of which the first is the phase.
+        phase: (N,) phases in the unit the mixtures were fitted with (P1: frames 0 to 99).
 
     Raises:
-        ArrayError: a mixture without postures, or phases that are not finite numbers.
+        ArrayError: mixtures without postures, or phases that are not finite numbers.
     """
-    if mixture.n_features < 2:
-        raise ArrayError(f"regression: wanted a mixture over phase and posture, got {mixture.n_features} feature")
+    if mixtures.n_features < 2:
+        raise ArrayError(f"regression: wanted a mixture over phase and posture, got {mixtures.n_features} feature")
     phase = checked("phase", phase, ("N",))
-    variance = mixture.covariances[:, 0, 0]
-    slope = mixture.covariances[:, 1:, 0] / variance[:, None]
-    offset = phase[:, None] - mixture.means[:, 0]
-    log_share = np.log(mixture.weights) - 0.5 * np.log(variance) - 0.5 * offset**2 / variance
-    share = np.exp(log_share - log_sum_exp(log_share)[:, None])
-    predicted = mixture.means[:, 1:] + offset[:, :, None] * slope  # (N, K, D)
-    mean: FloatArray = np.einsum("nk,nkd->nd", share, predicted)
-    return mean
+    expected = []
+    for weights, means, covariances in zip(mixtures.weights, mixtures.means, mixtures.covariances, strict=True):
+        variance = covariances[:, 0, 0]
+        slope = covariances[:, 1:, 0] / variance[:, None]
+        offset = phase[:, None] - means[:, 0]
+        log_share = np.log(weights) - 0.5 * np.log(variance) - 0.5 * offset**2 / variance
+        share = np.exp(log_share - log_sum_exp(log_share)[:, None])
+        predicted = means[:, 1:] + offset[:, :, None] * slope  # (N, K, D)
+        expected.append(np.einsum("nk,nkd->nd", share, predicted))
+    return np.stack(expected)
 
 
 def _of_clusters(
@@ -246,14 +216,14 @@ def _of_clusters(
 
 
 def _cholesky(covariances: FloatArray) -> FloatArray:
-    """Return (K, D, D) Cholesky factors; ArrayError where a covariance is singular to working precision."""
+    """Return (C, K, D, D) Cholesky factors; ArrayError where a covariance is singular to working precision."""
     message = "mixture covariances: wanted positive definite matrices, got a singular one; raise the covariance floor"
     try:
         factor = np.asarray(np.linalg.cholesky(covariances), dtype=np.float64)
     except np.linalg.LinAlgError as trouble:
         raise ArrayError(message) from trouble
     # Rounding can leave a tiny positive pivot where the exact one is 0.
-    pivot = np.square(np.diagonal(factor, axis1=1, axis2=2))
-    if (pivot < 1e-14 * np.diagonal(covariances, axis1=1, axis2=2)).any():
+    pivot = np.square(np.diagonal(factor, axis1=2, axis2=3))
+    if (pivot < 1e-14 * np.diagonal(covariances, axis1=2, axis2=3)).any():
         raise ArrayError(message)
     return factor

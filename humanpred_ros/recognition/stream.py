@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from humanpred_ros.errors import HumanPredError, SettingsError, UsageError
+from humanpred_ros.errors import HumanPredError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.recognition.classifier import Classifier, ClassPosterior
@@ -40,17 +39,12 @@ class StreamSettings(Settings):
         "must not take longer than the sensor's next frame",
         low=1,
     )
-    unknown_at_rest: float = setting(0.0, "probability of no class to give at rest", low=0.0, high=1.0)
-
-    def check(self) -> None:
-        if self.unknown_at_rest == 1.0:
-            raise SettingsError("StreamSettings unknown_at_rest: wanted less than 1, got 1.0")
 
 
 class StreamClassifier(Classifier):
-    """Runs any classifier on an endless stream: prior at rest, a new motion at each onset.
+    """Runs any classifier on an endless stream: at rest all classes are equal, and each onset begins a new motion.
 
-    At rest the posterior is the prior, and the classifier is not asked. When an onset is found, it is started anew and
+    At rest the classifier is not asked. When an onset is found, it is started anew and
     shown the buffered postures since shortly before the motion really began, so that nothing of it is lost.
 
     Attributes:
@@ -60,29 +54,19 @@ class StreamClassifier(Classifier):
     settings_type = StreamSettings
     settings: StreamSettings
 
-    def __init__(
-        self,
-        classifier: Classifier,
-        settings: StreamSettings | None = None,
-        *,
-        prior: Mapping[int, float] | None = None,
-    ) -> None:
+    def __init__(self, classifier: Classifier, settings: StreamSettings | None = None) -> None:
         """Wrap a classifier, fitted or to be fitted.
 
         Args:
             classifier: any; its human is the one whose postures come.
             settings: the default ones if None.
-            prior: probability of each class at rest, equal ones if None.
 
         Raises:
-            UsageError: a prior that is negative or zero altogether, or a human without a right arm.
+            UsageError: a human without a right arm.
         """
         super().__init__(classifier.human, settings)
         self.classifier = classifier
         self._points = BodyPoints(self.human)
-        if prior is not None and (min(prior.values(), default=0.0) < 0 or not 0 < sum(prior.values()) < np.inf):
-            raise UsageError(f"stream: wanted a prior of non-negative numbers, not all zero, got {dict(prior)}")
-        self._prior = prior
         #: For how long the library's motions rest at first, median; None if it was not fitted here.
         self._learned_s: float | None = None
         #: The posterior at rest; the classes are known from the first posture on.
@@ -122,7 +106,7 @@ class StreamClassifier(Classifier):
         self._rests = None
 
     def update(self, q: FloatArray, t_s: float) -> ClassPosterior:
-        """Take one posture (D,) stamped `t_s` and return the posterior; the prior, with no frames seen, at rest.
+        """Take one posture (D,) stamped `t_s` and return the posterior; at rest, equal ones with no frames seen.
 
         A call that raises leaves the stream as it was. A step between stamps longer than `settings.onset.gap_s` ends
         what was.
@@ -152,15 +136,15 @@ class StreamClassifier(Classifier):
     def _tried(self, q: FloatArray, t_s: float, in_motion: ClassPosterior | None) -> ClassPosterior:
         """Return the posterior at rest, after trying a posture at which an onset may be found as the first of a motion.
 
-        Before the first posture of all nobody knows the classes. A classifier that is in a motion is not disturbed.
+        The classes are not known before the first posture of all. A classifier that is in a motion is not disturbed.
         """
         if self._rests is None and in_motion is not None:
-            self._rests = self._prior_over(in_motion.labels)
+            self._rests = _undecided(in_motion.labels)
         if self._rests is None or self._detector.may_begin(t_s):
             self.classifier.start()
             labels = self.classifier.update(q, t_s).labels
             if self._rests is None:
-                self._rests = self._prior_over(labels)
+                self._rests = _undecided(labels)
         return self._rests
 
     def _replay(self, since_s: float, before: MotionState | None) -> ClassPosterior:
@@ -176,14 +160,6 @@ class StreamClassifier(Classifier):
                 self.classifier.update(frames[k][1], frames[k][0])
         return self.classifier.update(frames[-1][1], frames[-1][0])
 
-    def _prior_over(self, labels: tuple[int, ...]) -> ClassPosterior:
-        share = np.array([1.0 if self._prior is None else self._prior.get(label, 0.0) for label in labels])
-        if not share.sum() > 0:
-            raise UsageError(f"stream: wanted a prior for some of the classes {labels}, got one for {self._prior}")
-        unknown = self.settings.unknown_at_rest
-        probability = (1.0 - unknown) * share / share.sum()
-        return ClassPosterior(labels, probability, np.zeros(len(labels)), 0.0, 0, unknown)
-
     def _rests_s(self, motion: Motion) -> float | None:
         """Return for how long a motion rests before its onset, None if none is found."""
         detector = OnsetDetector(self.settings.onset)
@@ -192,3 +168,8 @@ class StreamClassifier(Classifier):
             if state.moving:
                 return state.since_s - float(motion.t_s[0])
         return None
+
+
+def _undecided(labels: tuple[int, ...]) -> ClassPosterior:
+    """Return the posterior before anything was seen of a motion: every class is equally probable."""
+    return ClassPosterior(labels, np.full(len(labels), 1.0 / len(labels)), np.zeros(len(labels)), 0.0, 0)

@@ -16,7 +16,7 @@ from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.occupancy import future_kernels as kernels
 from humanpred_ros.occupancy.future_kernels import NEVER_CERTAIN
-from humanpred_ros.occupancy.recorded_futures import BodyParts, RecordedFutures
+from humanpred_ros.occupancy.futures import BodyParts, RecordedFutures
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.recognition.forest import Exemplars
 from humanpred_ros.recognition.reach_features import N_FEATURES

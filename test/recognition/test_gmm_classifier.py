@@ -28,6 +28,7 @@ from humanpred_ros.recognition.gmm_classifier import (
     fit_class_mixtures,
     training_samples,
 )
+from humanpred_ros.recognition.mixture import GaussianMixtures
 
 HUMAN = HumanModel.kinect12()
 SMALL = GmmSettings(n_components=4, max_iterations=20)
@@ -63,7 +64,7 @@ def oracle(classifier: GmmClassifier, motion: Motion) -> tuple[np.ndarray, np.nd
         last = settings.n_phase_frames - 1
         phase = np.clip((motion.t_s - motion.t_s[0]) / classifier.nominal_duration_s * last, 0, last)
         x = np.column_stack([phase, x])
-    each = np.column_stack([mixture.log_density(x) for mixture in classes.mixtures])
+    each = np.stack([classes.mixtures.log_density(sample) for sample in x])
     each = np.maximum(each, -np.inf if settings.frame_log_density_floor is None else settings.frame_log_density_floor)
     window = settings.window_frames or len(each)
     parts = [each[max(0, t + 1 - window) : t + 1] for t in range(len(each))]
@@ -126,7 +127,7 @@ def test_classes_in_another_order_change_nothing_else() -> None:
     shuffled = replace(
         classes,
         labels=tuple(classes.labels[i] for i in order),
-        mixtures=tuple(classes.mixtures[i] for i in order),
+        mixtures=GaussianMixtures.joined([classes.mixtures[i] for i in order]),
         motions_per_class=tuple(classes.motions_per_class[i] for i in order),
     )
     other = GmmClassifier(HUMAN, fitted().settings)._take(shuffled)
@@ -300,7 +301,8 @@ def test_leaving_one_motion_out_equals_learning_without_it() -> None:
     np.testing.assert_array_equal(posteriors(without, unseen()), posteriors(anew, unseen()))
     assert classes_of(whole).motions_per_class == (4, 4, 4)
     assert classes_of(without).motions_per_class == (4, 3, 4)
-    assert classes_of(without).mixtures[0] is classes_of(whole).mixtures[0]
+    assert same(classes_of(without), classes_of(whole), 0)
+    assert not same(classes_of(without), classes_of(whole), 10)
 
 
 def same(a: ClassMixtures, b: ClassMixtures, label: int) -> bool:
@@ -335,9 +337,9 @@ def test_features_counts_and_duration() -> None:
     classes = fit_class_mixtures(library, SMALL)
     assert classes.nominal_duration_s == pytest.approx(1.2)
     assert classes.motions_per_class == (11, 11)
-    assert (classes.mixtures[0].n_features, classes.has_phase) == (13, True)
+    assert (classes.mixtures.n_features, classes.has_phase) == (13, True)
     without = fit_class_mixtures(library, SMALL.replaced(phase_feature=False))
-    assert (without.mixtures[0].n_features, without.has_phase) == (12, False)
+    assert (without.mixtures.n_features, without.has_phase) == (12, False)
 
 
 def test_negative_labels_are_labels() -> None:
@@ -373,7 +375,7 @@ def test_a_degree_of_freedom_that_never_moves_is_no_obstacle() -> None:
     library = small_library()
     fixed = tuple(m.with_postures(np.where(np.arange(12) == 6, 0.0, m.q)) for m in library)
     classes = fit_class_mixtures(replace(library, motions=fixed), SMALL)
-    np.testing.assert_allclose(classes.mixtures[0].covariances[:, 7, 7], SMALL.covariance_floor, rtol=1e-6)
+    np.testing.assert_allclose(classes.mixtures.covariances[0, :, 7, 7], SMALL.covariance_floor, rtol=1e-6)
 
 
 def test_parts_that_do_not_fit_are_refused() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 from paths import shared_data
 from scipy.integrate import trapezoid
 from scipy.special import logsumexp
@@ -13,14 +14,23 @@ from humanpred_ros.errors import ArrayError, LibraryFormatError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.recognition.gmm_classifier import GmmSettings, fit_class_mixtures
-from humanpred_ros.recognition.mixture import GaussianMixture, MixtureBank, fit_mixture, regress
+from humanpred_ros.recognition.mixture import GaussianMixtures, fit_mixture, regress
 
 
-def random_mixture(seed: int, n_components: int = 3, n_features: int = 4) -> GaussianMixture:
+def single(weights: ArrayLike, means: ArrayLike, covariances: ArrayLike) -> GaussianMixtures:
+    """Return one mixture."""
+    return GaussianMixtures(*(np.asarray(part, dtype=float)[None] for part in (weights, means, covariances)))
+
+
+def log_densities(mixture: GaussianMixtures, x: np.ndarray) -> np.ndarray:
+    return np.array([mixture.log_density(sample)[0] for sample in x])
+
+
+def random_mixture(seed: int, n_components: int = 3, n_features: int = 4) -> GaussianMixtures:
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(n_components, n_features, n_features))
     weights = rng.uniform(0.5, 1.5, n_components)
-    return GaussianMixture(
+    return single(
         weights / weights.sum(),
         rng.normal(size=(n_components, n_features)),
         root @ root.transpose(0, 2, 1) + 0.1 * np.eye(n_features),
@@ -37,25 +47,25 @@ def test_log_density_is_scipys() -> None:
     mixture, x = random_mixture(1), np.random.default_rng(2).normal(size=(50, 4))
     parts = [
         np.log(w) + multivariate_normal(m, S).logpdf(x)
-        for w, m, S in zip(mixture.weights, mixture.means, mixture.covariances, strict=True)
+        for w, m, S in zip(mixture.weights[0], mixture.means[0], mixture.covariances[0], strict=True)
     ]
-    np.testing.assert_allclose(mixture.log_density(x), logsumexp(parts, axis=0), rtol=1e-11)
+    np.testing.assert_allclose(log_densities(mixture, x), logsumexp(parts, axis=0), rtol=1e-11)
 
 
 def test_density_integrates_to_one() -> None:
     mixture = random_mixture(4, n_components=2, n_features=1)
     x = np.linspace(-40, 40, 20_001)
-    assert trapezoid(np.exp(mixture.log_density(x[:, None])), x) == pytest.approx(1.0, abs=1e-9)
+    assert trapezoid(np.exp(log_densities(mixture, x[:, None])), x) == pytest.approx(1.0, abs=1e-9)
 
 
 def test_log_density_far_away_is_finite() -> None:
-    assert np.isfinite(random_mixture(1).log_density(np.full((1, 4), 1e6))).all()
+    assert np.isfinite(random_mixture(1).log_density(np.full(4, 1e6))).all()
 
 
 def test_iterations_end_at_the_limit_or_when_nothing_changes() -> None:
     x = blobs(3)
     likelihood = [
-        fit_mixture(x, 4, np.random.default_rng(1), max_iterations=n, tolerance=0.0).log_density(x).mean()
+        log_densities(fit_mixture(x, 4, np.random.default_rng(1), max_iterations=n, tolerance=0.0), x).mean()
         for n in (1, 5, 40)
     ]
     assert (np.diff(likelihood) > -1e-12).all()
@@ -72,19 +82,19 @@ def test_the_generator_decides_and_nothing_else() -> None:
 def test_fit_finds_the_mixture_that_made_the_samples() -> None:
     x = blobs(5, 4000)
     fitted = fit_mixture(x, 3, np.random.default_rng(0))
-    order = np.lexsort(fitted.means.T[::-1].round())
-    np.testing.assert_allclose(fitted.weights[order], 1 / 3, atol=0.03)
-    np.testing.assert_allclose(fitted.means[order], [[0.0, 0.0, 0.0], [0.0, 4.0, -2.0], [3.0, 1.0, 0.0]], atol=0.1)
+    order = np.lexsort(fitted.means[0].T[::-1].round())
+    np.testing.assert_allclose(fitted.weights[0, order], 1 / 3, atol=0.03)
+    np.testing.assert_allclose(fitted.means[0, order], [[0.0, 0.0, 0.0], [0.0, 4.0, -2.0], [3.0, 1.0, 0.0]], atol=0.1)
     np.testing.assert_allclose(
-        np.diagonal(fitted.covariances[order], axis1=1, axis2=2), [[1.0, 0.16, 0.04]] * 3, rtol=0.15
+        np.diagonal(fitted.covariances[0, order], axis1=1, axis2=2), [[1.0, 0.16, 0.04]] * 3, rtol=0.15
     )
 
 
 def test_constant_feature_is_harmless_above_a_floor() -> None:
     x = np.column_stack([blobs(), np.full(400, 7.0)])
     mixture = fit_mixture(x, 3, np.random.default_rng(0))
-    np.testing.assert_allclose(mixture.covariances[:, 3, 3], 1e-5, rtol=1e-6)
-    assert np.isfinite(mixture.log_density(x)).all()
+    np.testing.assert_allclose(mixture.covariances[0, :, 3, 3], 1e-5, rtol=1e-6)
+    assert np.isfinite(log_densities(mixture, x)).all()
 
 
 @pytest.mark.parametrize("value", [0.0, 7.3, -1e5])
@@ -135,14 +145,14 @@ def test_samples_that_say_too_little_are_refused(x: np.ndarray, message: str) ->
 )
 def test_what_is_no_mixture_is_refused(change: dict[str, np.ndarray]) -> None:
     good = random_mixture(0)
-    parts = {"weights": good.weights, "means": good.means, "covariances": good.covariances} | change
+    parts = {"weights": good.weights[0], "means": good.means[0], "covariances": good.covariances[0]} | change
     with pytest.raises(ArrayError):
-        GaussianMixture(**parts)
+        single(**parts)
 
 
 def test_a_mixture_cannot_be_changed() -> None:
     with pytest.raises(ValueError, match="read-only"):
-        random_mixture(0).means[0, 0] = 1.0
+        random_mixture(0).means[0, 0, 0] = 1.0
 
 
 def fitted(seed: int, n_components: int, n_features: int = 5):
@@ -150,34 +160,33 @@ def fitted(seed: int, n_components: int, n_features: int = 5):
     return fit_mixture(rng.normal(size=(200, n_features)), n_components, rng)
 
 
-def test_classes_may_differ_in_size_and_agree_with_their_mixtures() -> None:
-    mixtures = [fitted(0, 4), fitted(1, 1), fitted(2, 7)]
-    bank = MixtureBank(mixtures)
+def test_mixtures_together_agree_with_each_alone() -> None:
+    mixtures = [fitted(0, 4), fitted(1, 4), fitted(2, 4)]
+    together = GaussianMixtures.joined(mixtures)
     for x in np.random.default_rng(9).normal(size=(20, 5)) * 3:
-        np.testing.assert_allclose(bank.log_density(x), [m.log_density(x[None])[0] for m in mixtures], rtol=1e-10)
+        np.testing.assert_allclose(together.log_density(x), [m.log_density(x)[0] for m in mixtures], rtol=1e-10)
+        assert together[1].log_density(x) == mixtures[1].log_density(x)
 
 
 def test_squares_that_overflow_are_reported_as_not_finite() -> None:
-    assert not np.isfinite(MixtureBank([fitted(0, 3)]).log_density(np.full(5, 1e200))).any()
+    assert not np.isfinite(fitted(0, 3).log_density(np.full(5, 1e200))).any()
 
 
-def test_mixtures_over_different_features_do_not_stack() -> None:
+def test_no_mixtures_at_all_are_refused() -> None:
     with pytest.raises(ArrayError):
-        MixtureBank([fitted(0, 2), fitted(0, 2, 6)])
-    with pytest.raises(ArrayError):
-        MixtureBank([])
+        GaussianMixtures(np.zeros((0, 2)), np.zeros((0, 2, 3)), np.zeros((0, 2, 3, 3)))
 
 
 def test_one_gaussian_regresses_linearly() -> None:
     mean = np.array([[50.0, 1.0, -2.0]])
     covariance = np.array([[[800.0, 10.0, -4.0], [10.0, 0.5, 0.1], [-4.0, 0.1, 0.3]]])
-    result = regress(GaussianMixture(np.ones(1), mean, covariance), np.array([0.0, 50.0, 99.0]))
+    (result,) = regress(single(np.ones(1), mean, covariance), np.array([0.0, 50.0, 99.0]))
     slope = np.array([10.0, -4.0]) / 800.0
     np.testing.assert_allclose(result, mean[0, 1:] + np.outer([-50.0, 0.0, 49.0], slope), atol=1e-12)
 
 
 def test_the_mean_is_that_of_samples_with_that_phase() -> None:
-    mixture = GaussianMixture(
+    mixture = single(
         np.array([0.3, 0.7]),
         np.array([[0.0, -1.0, 0.0], [1.0, 2.0, 1.0]]),
         np.array(
@@ -191,11 +200,11 @@ def test_the_mean_is_that_of_samples_with_that_phase() -> None:
     which = rng.random(1_000_000) < 0.3
     samples = np.where(
         which[:, None],
-        rng.multivariate_normal(mixture.means[0], mixture.covariances[0], which.size),
-        rng.multivariate_normal(mixture.means[1], mixture.covariances[1], which.size),
+        rng.multivariate_normal(mixture.means[0, 0], mixture.covariances[0, 0], which.size),
+        rng.multivariate_normal(mixture.means[0, 1], mixture.covariances[0, 1], which.size),
     )
     near = samples[np.abs(samples[:, 0] - 0.8) < 0.02, 1:]
-    result = regress(mixture, np.array([0.8]))
+    (result,) = regress(mixture, np.array([0.8]))
     np.testing.assert_allclose(result[0], near.mean(axis=0), atol=0.03)
 
 
@@ -204,7 +213,7 @@ def test_a_curve_is_followed() -> None:
     phase = np.tile(np.arange(100.0), 20)
     curve = np.column_stack([np.sin(phase / 16), np.cos(phase / 25)])
     x = np.column_stack([phase, curve + rng.normal(0, 0.02, curve.shape)])
-    result = regress(fit_mixture(x, 10, rng), np.arange(100.0))
+    (result,) = regress(fit_mixture(x, 10, rng), np.arange(100.0))
     assert np.abs(result - curve[:100]).max() < 0.05
 
 
@@ -217,9 +226,9 @@ def test_phases_far_outside_stay_finite() -> None:
 
 def test_what_cannot_be_regressed_is_refused() -> None:
     with pytest.raises(ArrayError, match="phase and posture"):
-        regress(GaussianMixture(np.ones(1), np.zeros((1, 1)), np.ones((1, 1, 1))), np.zeros(1))
+        regress(single(np.ones(1), np.zeros((1, 1)), np.ones((1, 1, 1))), np.zeros(1))
     with pytest.raises(ArrayError, match="finite"):
-        regress(GaussianMixture(np.ones(1), np.zeros((1, 2)), np.eye(2)[None]), np.array([np.nan]))
+        regress(single(np.ones(1), np.zeros((1, 2)), np.eye(2)[None]), np.array([np.nan]))
 
 
 @pytest.mark.parametrize(("n_components", "label"), [(40, 1), (40, 3), (20, 6)])
@@ -232,7 +241,7 @@ def test_motions_agree_with_those_the_authors_regressed(n_components: int, label
     # The neighbour only makes it a library of two classes; no class depends on another.
     config = GmmSettings(n_components=n_components)
     classes = fit_class_mixtures(library, config)
-    q = regress(classes.mixtures[classes.labels.index(label)], np.arange(100.0))
+    q = regress(classes.mixtures, np.arange(100.0))[classes.labels.index(label)]
     reference = shared_data("iros2013/reference/authors_regressed") / f"class_{label}.csv"
     authors = np.loadtxt(reference, delimiter=",", skiprows=1)[:, 1:]
     human = HumanModel.kinect12()

@@ -1,4 +1,4 @@
-"""A classifier on a stream: the prior at rest, and at an onset the motion so far, shown as it was learned."""
+"""A classifier on a stream: undecided at rest, and at an onset the motion so far, shown as it was learned."""
 
 from __future__ import annotations
 
@@ -70,14 +70,13 @@ def test_every_motion_of_a_stream_is_recognised() -> None:
         assert abs(posterior.probability.sum() + posterior.unknown - 1.0) < 1e-9
 
 
-def test_at_rest_the_posterior_is_the_prior() -> None:
+def test_at_rest_all_classes_are_equal() -> None:
     t, q, begins = stream([0, 1])
-    for prior, expected in ((None, [1 / 3] * 3), ({0: 2.0, 10: 1.0, 20: 1.0}, [0.5, 0.25, 0.25])):
-        posteriors = answers(streaming(prior=prior, settings=StreamSettings(unknown_at_rest=0.1)), t, q)
-        for at in (1.0, begins[1] - 0.3, t[-1]):
-            posterior = posteriors[round(at * 60)]
-            np.testing.assert_allclose(posterior.given_known, expected)
-            assert (posterior.unknown, posterior.n_frames) == (0.1, 0)
+    posteriors = answers(streaming(), t, q)
+    for at in (1.0, begins[1] - 0.3, t[-1]):
+        posterior = posteriors[round(at * 60)]
+        np.testing.assert_allclose(posterior.probability, [1 / 3] * 3)
+        assert (posterior.unknown, posterior.n_frames) == (0.0, 0)
 
 
 class Renamed(Classifier):
@@ -142,10 +141,6 @@ def test_a_jump_of_the_clock_starts_anew() -> None:
 
 
 def test_impossible_settings_are_refused() -> None:
-    with pytest.raises(UsageError, match="prior"):
-        streaming(prior={0: -1.0})
-    with pytest.raises(SettingsError, match="unknown_at_rest"):
-        StreamSettings(unknown_at_rest=1.0)
     with pytest.raises(SettingsError, match="most_replayed"):
         StreamSettings(most_replayed=0)
 
@@ -247,12 +242,9 @@ def test_a_posture_that_the_classifier_refuses_changes_nothing() -> None:
 
 
 def test_the_classes_are_known_from_the_first_posture_on() -> None:
-    stream = StreamClassifier(Witness(), StreamSettings(unknown_at_rest=0.2), prior={1: 3.0, 0: 1.0})
-    posterior = stream.update(REST, 0.0)
+    posterior = StreamClassifier(Witness()).update(REST, 0.0)
     assert posterior.labels == (0, 1)
-    np.testing.assert_allclose(posterior.probability, [0.2, 0.6])
-    with pytest.raises(UsageError, match="prior"):
-        StreamClassifier(Witness(), prior={5: 1.0}).update(REST, 0.0)
+    np.testing.assert_allclose(posterior.probability, [0.5, 0.5])
 
 
 def test_the_rest_shown_is_as_long_as_the_library_s() -> None:
