@@ -1,29 +1,38 @@
-"""What the benchmarks of nodes share: whom they are shown, how they are run, and what each costs the machine.
+"""What the benchmarks of nodes share: what the nodes are shown, what each costs the machine, and how soon it answers.
 
-The person reaches and draws back, over and over, in postures 1/30 s apart as a Kinect delivers them.
+The person reaches and draws back, over and over, in postures 1/30 s apart as a Kinect delivers them. A delay begins
+when a posture was published (the sender's clock) and ends when the answer was received by the recorder, a process of
+its own: what another node on this machine would see.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import yaml
 
-from humanpred_ros.errors import UsageError
+from humanpred_ros import topics
+from humanpred_ros.bags.reader import BagReader
+from humanpred_ros.errors import BagError, UsageError
 from humanpred_ros.evaluation.planner_bench_world import SCENE, spread_goals
 from humanpred_ros.evaluation.processes import NodeGroup
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.motion import Motion, MotionLibrary, pelvis_columns, resample
 from humanpred_ros.resources import share_file
 from humanpred_ros.robot.scene import load_scene
+from humanpred_ros.viewing.recorded import decision_of
+from humanpred_ros.viewing.run import Entry, stamped, trajectories_by_stamp
 
 RATE_HZ = 30.0
 #: Where the pelvises of the shipped library's people are in the scene at the start (median), world frame.
 _STAND_M = (-0.08, -1.31, 0.91)
-_STARTED = "replay starts"
+_STARTED, _READY, _PLANNER = "replay starts", "ready", "stomp_planner"
+#: Stamps are rounded to nanoseconds; steps are due this much early, as in the replanner.
+_DUE_TOLERANCE_S = 1e-6
 #: The first start on a machine compiles the kernels.
 _READY_LIMIT_S, _REST_LIMIT_S = 180.0, 60.0
 #: Nodes that each use less than this share of a core for this long have finished starting.
@@ -146,3 +155,103 @@ def wait_until_resting(group: NodeGroup) -> None:
             return
         before = used
         time.sleep(_RESTING_S)
+
+
+class PostureAnswer(NamedTuple):
+    """A posture and the occupancy that answered it.
+
+    Attributes:
+        stamp_ns: of both.
+        sent_ns: when the posture was published.
+        heard_ns: when the recorder received the occupancy; None if there was none.
+    """
+
+    stamp_ns: int
+    sent_ns: int
+    heard_ns: int | None
+
+    @property
+    def delay_ms(self) -> float:
+        """From one to the other; NaN without an answer."""
+        return float("nan") if self.heard_ns is None else (self.heard_ns - self.sent_ns) * 1e-6
+
+
+def posture_answers(reader: BagReader) -> tuple[PostureAnswer, ...]:
+    """Return every posture of a run in real time with its answer.
+
+    Raises:
+        BagError: no postures, or a damaged bag.
+    """
+    postures = list(stamped(reader, topics.body_topic(reader.topics, topics.human_joint_states)))
+    if not postures:
+        raise BagError(f"{reader.path}: wanted a run with postures, got none; did the tracker start?")
+    heard_ns = {entry.stamp_ns: entry.heard_ns for entry in stamped(reader, topics.OCCUPANCY)}
+    return tuple(PostureAnswer(entry.stamp_ns, entry.sent_ns, heard_ns.get(entry.stamp_ns)) for entry in postures)
+
+
+class Answers(NamedTuple):
+    """How long the answers of one run took, and what was not answered.
+
+    Attributes:
+        delays_ms: from a posture's publication: `occupancy_ms` of every posture, `step_ms` (to the decision) of every
+            replanning step, `trajectory_ms` of every step that sent one; `compute_ms`: what the planner itself says a
+            step took.
+        iterations: fewest STOMP iterations of a goal in each step, goals that were set aside left out; fewer than
+            asked for mean that time ran out or the goal was far too expensive.
+        counts: `steps` that were taken; `late`: whose plan came too late to be taken over; `skipped`: that were due
+            and not taken, because the planner was still busy with the one before; postures `unanswered`.
+        ready_s: from the start of the planner's process to its first word of being ready; NaN if it never was.
+    """
+
+    delays_ms: Mapping[str, Sequence[float]]
+    iterations: Sequence[int]
+    counts: Mapping[str, int]
+    ready_s: float
+
+
+def answers_of(bag: Path, period_s: float, planner_started_ns: int) -> Answers:
+    """Return the answers recorded in `bag`.
+
+    Args:
+        bag: of a run in real time.
+        period_s: of a replanning step.
+        planner_started_ns: wall time at which the planner's process was started.
+
+    Raises:
+        BagError: no postures, or a damaged bag.
+    """
+    reader = BagReader(bag)
+    answers = posture_answers(reader)
+    sent_ns = {answer.stamp_ns: answer.sent_ns for answer in answers}
+    decided = list(stamped(reader, topics.DECISION))
+    decisions = [decision_of(entry.message, 0.0, 0.0) for entry in decided]
+    steps = {e.stamp_ns: (e, decision) for e, decision in zip(decided, decisions, strict=True) if decision.is_step}
+    trajectories = trajectories_by_stamp(stamped(reader, topics.TRAJECTORY), decided)
+
+    def delays_ms(heard: Iterable[tuple[int, Entry]]) -> list[float]:
+        return [(entry.heard_ns - sent_ns[stamp]) * 1e-6 for stamp, entry in heard if stamp in sent_ns]
+
+    words = [(entry, status) for entry in stamped(reader, topics.DIAGNOSTICS) for status in entry.message.status]
+    ready_ns = [entry.sent_ns for entry, status in words if (status.name, status.message) == (_PLANNER, _READY)]
+    return Answers(
+        {
+            "occupancy_ms": [answer.delay_ms for answer in answers if answer.heard_ns is not None],
+            "step_ms": delays_ms((stamp, entry) for stamp, (entry, _) in steps.items()),
+            "trajectory_ms": delays_ms((stamp, entry) for stamp, entry in trajectories.items() if stamp in steps),
+            "compute_ms": [1e3 * decision.compute_s for _, decision in steps.values()],
+        },
+        [min((goal.iterations for goal in step.goals if goal.iterations), default=0) for _, step in steps.values()],
+        {
+            "steps": len(steps),
+            "late": sum(decision.action == "missed" for decision in decisions),
+            "skipped": skipped_steps([stamp * 1e-9 for stamp in steps], period_s),
+            "unanswered": sum(answer.heard_ns is None for answer in answers),
+        },
+        (ready_ns[0] - planner_started_ns) * 1e-9 if ready_ns else float("nan"),
+    )
+
+
+def skipped_steps(stamps_s: Sequence[float], period_s: float) -> int:
+    """Return how many whole periods went by between neighbouring steps without one."""
+    gaps = np.diff(np.asarray(stamps_s, dtype=np.float64))
+    return int(np.maximum(np.floor((gaps + _DUE_TOLERANCE_S) / period_s) - 1, 0).sum())

@@ -19,7 +19,9 @@ from rich.console import Console
 from humanpred_ros.errors import SettingsError, UsageError
 from humanpred_ros.evaluation.bench_nodes import (
     RATE_HZ,
+    Answers,
     NodeUsage,
+    answers_of,
     replay,
     wait_until_resting,
     write_motion,
@@ -27,7 +29,6 @@ from humanpred_ros.evaluation.bench_nodes import (
 )
 from humanpred_ros.evaluation.demo import training_part
 from humanpred_ros.evaluation.framework import Begin, Column, OutputSettings, Report, Table, present
-from humanpred_ros.evaluation.graph_bench_answers import Answers, answers_of
 from humanpred_ros.evaluation.processes import NodeGroup, ParameterValue, free_domain_id
 from humanpred_ros.evaluation.timing import MachineLoad, Spread, growth_plot
 from humanpred_ros.human.model import HumanModel

@@ -19,8 +19,14 @@ import numpy as np
 from humanpred_ros import topics
 from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.bench_nodes import RATE_HZ, replay, write_motion, write_scene_for
-from humanpred_ros.evaluation.graph_bench_answers import PostureAnswer, posture_answers
+from humanpred_ros.evaluation.bench_nodes import (
+    RATE_HZ,
+    PostureAnswer,
+    posture_answers,
+    replay,
+    write_motion,
+    write_scene_for,
+)
 from humanpred_ros.evaluation.occupancy_scores import P1_RESOLUTION_M, grid_around
 from humanpred_ros.evaluation.processes import NodeGroup, ParameterValue, free_domain_id
 from humanpred_ros.evaluation.timing import Spread

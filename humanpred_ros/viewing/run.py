@@ -141,8 +141,8 @@ def read_run(folder: str | Path) -> Run:
         robot=_robot(robot, origin_ns),
         trajectories=tuple(trajectory_of(e.message, origin_ns) for e in sent),
         latencies=(
-            _delays(POSTURE_TO_OCCUPANCY, human, {e.stamp_ns: e.sent_ns for e in occupied.entries}, origin_ns),
-            _delays(POSTURE_TO_TRAJECTORY, human, _answers(sent, decided), origin_ns),
+            _delays(POSTURE_TO_OCCUPANCY, human, {entry.stamp_ns: entry for entry in occupied.entries}, origin_ns),
+            _delays(POSTURE_TO_TRAJECTORY, human, trajectories_by_stamp(sent, decided), origin_ns),
         ),
         topics=tuple(sorted(bag.topics.values(), key=lambda topic: topic.name)),
         human_urdf=_text(bag, topics.body_topic(bag.topics, topics.human_urdf)),
@@ -299,22 +299,22 @@ def _numbered(decisions: list[RecordedDecision], notes: list[str]) -> tuple[Reco
     return tuple(replace(decision, step=next(count)) if decision.is_step else decision for decision in decisions)
 
 
-def _answers(sent: list[Entry], decided: list[Entry]) -> dict[int, int]:
-    """Return when the trajectory of each replanning step was sent, by the stamp the step was computed on.
+def trajectories_by_stamp(sent: Iterable[Entry], decided: Iterable[Entry]) -> dict[int, Entry]:
+    """Return the trajectories that decisions sent, by the stamp each was computed on.
 
     The planner sends a trajectory right before its decision, so each belongs to the next decision.
     """
-    answers: dict[int, int] = {}
+    answers: dict[int, Entry] = {}
     order = sorted(decided, key=lambda entry: entry.sent_ns)
     times = np.array([entry.sent_ns for entry in order], dtype=np.int64)
     for trajectory in sent:
         k = int(np.searchsorted(times, trajectory.sent_ns))
         if k < len(order) and order[k].message.status and order[k].message.status[0].message in _SENDING:
-            answers[order[k].stamp_ns] = trajectory.sent_ns
+            answers[order[k].stamp_ns] = trajectory
     return answers
 
 
-def _delays(name: str, human: list[Entry], sent_ns: Mapping[int, int], origin_ns: int) -> Latency:
-    answered = [posture for posture in human if posture.stamp_ns in sent_ns]
-    delay_s = [(sent_ns[posture.stamp_ns] - posture.sent_ns) * 1e-9 for posture in answered]
+def _delays(name: str, human: list[Entry], answers: Mapping[int, Entry], origin_ns: int) -> Latency:
+    answered = [posture for posture in human if posture.stamp_ns in answers]
+    delay_s = [(answers[posture.stamp_ns].sent_ns - posture.sent_ns) * 1e-9 for posture in answered]
     return Latency(name, _times(answered, origin_ns), np.array(delay_s, dtype=np.float64))

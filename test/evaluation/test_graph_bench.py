@@ -24,14 +24,17 @@ from humanpred_ros.cli import parse
 from humanpred_ros.errors import BagError, GoalUnreachableError, HumanPredError, UsageError
 from humanpred_ros.evaluation import bench_nodes
 from humanpred_ros.evaluation.bench_nodes import (
+    Answers,
     NodeUsage,
+    answers_of,
     back_and_forth,
+    posture_answers,
+    skipped_steps,
     wait_until_resting,
     write_scene,
     write_scene_for,
 )
 from humanpred_ros.evaluation.graph_bench import GraphBenchSettings, together
-from humanpred_ros.evaluation.graph_bench_answers import Answers, answers_of, posture_answers, skipped_steps
 from humanpred_ros.evaluation.processes import NodeGroup, NodeProcess
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, placed, turn_and_shift

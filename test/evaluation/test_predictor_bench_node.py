@@ -17,7 +17,7 @@ from waiting import processes_with_environment, wait_until
 
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation import predictor_bench_node
-from humanpred_ros.evaluation.graph_bench_answers import PostureAnswer
+from humanpred_ros.evaluation.bench_nodes import PostureAnswer
 from humanpred_ros.evaluation.predictor_bench_node import (
     PLACES,
     TOLD,
