@@ -245,10 +245,6 @@ def _unreached(pairs: Pairs) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: (row["method"], row["scene"], row["motion"], row["seed"]))
 
 
-def _late(value: float) -> float | str:
-    return value if np.isfinite(value) else "never"
-
-
 _RUN = Column("run", lambda r: f"{r['method']}, {r['scene']}, {r['motion']}, seed {r['seed']}")
 _SAFETY = (
     Column("method", lambda f: f["method"]),
