@@ -77,7 +77,7 @@ def test_samples_that_collide_are_those_whose_bodies_are_in_something(partner: b
     """Once more in plain words, without lattice, bounds or early ends."""
     about = demo()
     found = ReachCollisions(MODEL).beside(about.q, about.partner if partner else None)
-    samples = varied(about, 30, deviation=6e-3)
+    samples = varied(about, 16, deviation=6e-3)
     scene, moving, beside = Surroundings.of_p2(), BodyCapsules.of(MODEL, MOVING_BODIES), BodyCapsules.of(MODEL)
     assert about.partner is not None
     theirs = along(beside.placed(MODEL, about.partner), 15).reshape(-1, 3)
