@@ -43,7 +43,11 @@ _SHADED = {
 
 
 def posterior_plot(analysis: Analysis) -> Figure:
-    """Return the class posterior over time."""
+    """What the human is believed to do.
+
+    Probability of each class of reach given the part of the motion seen so far; hatched, if the classifier considers
+    it, the probability that the motion belongs to none of them. Where all are equal, the human is taken to be at rest.
+    """
     track, summary = analysis.run.posterior, analysis.summary
     if not len(track):
         return empty_figure("no class posterior was recorded")
@@ -74,7 +78,12 @@ def posterior_plot(analysis: Analysis) -> Figure:
 
 
 def goal_costs_plot(analysis: Analysis) -> Figure:
-    """Return the selection cost of every goal at every replanning step, as in P1 Fig. 9."""
+    """Cost of every goal.
+
+    What goals are compared by, at every replanning step (compare with P1 Fig. 9). Hollow: set aside, so the cheapest
+    goal need not be the chosen one; the table of decisions says why. A decision takes effect one step after it was
+    computed (P1 Fig. 4).
+    """
     run, summary, colours = analysis.run, analysis.summary, analysis.colours
     if not summary.steps:
         return empty_figure("no replanning step was recorded")
@@ -129,7 +138,10 @@ def goal_costs_plot(analysis: Analysis) -> Figure:
 
 
 def cost_terms_plot(analysis: Analysis) -> Figure:
-    """Return the cost terms of the chosen goal's plan at every replanning step."""
+    """What the chosen plan costs.
+
+    What STOMP minimised: terms of the cost of the chosen goal's plan at every replanning step.
+    """
     run, summary, colours = analysis.run, analysis.summary, analysis.colours
     plans = [decision.plan_of_chosen for decision in run.steps]
     names = tuple(dict.fromkeys(name for plan in plans if plan is not None for name in plan.terms))

@@ -33,7 +33,11 @@ _WITHOUT_GOAL = {"hold": "the arm stops", "evade": "the arm moves aside"}
 
 
 def top_view_plot(analysis: Analysis) -> Figure:
-    """Return paths of palm and tool over the run, and the bodies at the closest moment, from above."""
+    """Seen from above.
+
+    Left: where the palm and the tool went; numbered squares are the goal places of the human's classes. Right: human
+    body and robot collision spheres at the moment they were closest; the ring marks the place.
+    """
     run, workcell, closest = analysis.run, analysis.workcell, analysis.summary.closest
     palm, tool = workcell.palm_path(run.postures), workcell.tool_path(run.robot.q[run.robot.t_s >= 0.0])
     if workcell.scene is None or not (len(palm) or len(tool)):
@@ -74,7 +78,11 @@ def top_view_plot(analysis: Analysis) -> Figure:
 
 
 def snapshots_plot(analysis: Analysis) -> Figure:
-    """Return what was predicted at the first, the decisive and the last replanning step, from above."""
+    """What was predicted.
+
+    Occupancy at the first, the decisive and the last replanning step, seen from above: every cell shows the most
+    probable voxel of its column. The dark line is the palm so far, the diamond the robot's tool.
+    """
     run, workcell = analysis.run, analysis.workcell
     chosen = _decisive(run, analysis.summary)
     if not chosen:

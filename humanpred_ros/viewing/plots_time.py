@@ -35,7 +35,11 @@ _LINE_HEIGHT = 0.065
 
 
 def clearance_plot(analysis: Analysis) -> Figure:
-    """Return the distance between robot and human over time."""
+    """Distance between robot and human.
+
+    Least distance between the robot's collision spheres and the human's body at equal data time. The spheres contain
+    the arm from the upper arm on, so the true distance is never smaller.
+    """
     clearance, closest = analysis.clearance, analysis.summary.closest
     if closest is None:
         return empty_figure("the distance is not known")
@@ -62,7 +66,10 @@ def clearance_plot(analysis: Analysis) -> Figure:
 
 
 def occupancy_plot(analysis: Analysis) -> Figure:
-    """Return the expected number of occupied voxels, and the number published, over time."""
+    """Predicted occupancy.
+
+    Size of the space the human is predicted to need.
+    """
     track = analysis.run.occupancy
     if not len(track):
         return empty_figure("no occupancy was recorded")
@@ -82,7 +89,10 @@ def occupancy_plot(analysis: Analysis) -> Figure:
 
 
 def joints_plot(analysis: Analysis) -> Figure:
-    """Return position and velocity of every arm joint over time, with their limits."""
+    """Arm joints.
+
+    Measured positions and velocities; dashed red lines are limits, drawn where they are near.
+    """
     track, arm = analysis.run.robot, analysis.workcell.arm
     shown = (track.t_s >= 0.0) & (track.t_s <= analysis.run.duration_s)
     if shown.sum() < 2:
@@ -110,7 +120,10 @@ def joints_plot(analysis: Analysis) -> Figure:
 
 
 def latency_plot(analysis: Analysis) -> Figure:
-    """Return histograms of the latencies and of the time a replanning step takes."""
+    """Delays.
+
+    Wall time between sending a posture and sending what follows from it, and wall time of one replanning step.
+    """
     run = analysis.run
     if not len(run.postures) and not run.steps:
         return empty_figure("there is nothing to measure delays on")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import multiprocessing
 import os
@@ -133,98 +134,58 @@ class Plot(NamedTuple):
     svg: Markup
 
 
-#: The report's plots: key, title, caption, and what draws it; a plot without data says so.
-_PLOTS: tuple[tuple[str, str, str, Callable[[Analysis], Figure]], ...] = (
-    (
-        "top-view",
-        "Seen from above",
-        "Left: where the palm and the tool went; numbered squares are the goal places of the human's classes. "
-        "Right: human body and robot collision spheres at the moment they were closest; the ring marks the place.",
-        top_view_plot,
-    ),
-    (
-        "posterior",
-        "What the human is believed to do",
-        "Probability of each class of reach given the part of the motion seen so far; hatched, if the classifier "
-        "considers it, the probability that the motion belongs to none of them. Where all are equal, the human is "
-        "taken to be at rest.",
-        posterior_plot,
-    ),
-    (
-        "goal-costs",
-        "Cost of every goal",
-        "What goals are compared by, at every replanning step (compare with P1 Fig. 9). Hollow: set aside, so the "
-        "cheapest goal need not be the chosen one; the table of decisions says why. A decision takes effect one "
-        "step after it was computed (P1 Fig. 4).",
-        goal_costs_plot,
-    ),
-    (
-        "cost-terms",
-        "What the chosen plan costs",
-        "What STOMP minimised: terms of the cost of the chosen goal's plan at every replanning step.",
-        cost_terms_plot,
-    ),
-    (
-        "predictions",
-        "What was predicted",
-        "Occupancy at the first, the decisive and the last replanning step, seen from above: every cell shows the "
-        "most probable voxel of its column. The dark line is the palm so far, the diamond the robot's tool.",
-        snapshots_plot,
-    ),
-    (
-        "clearance",
-        "Distance between robot and human",
-        "Least distance between the robot's collision spheres and the human's body at equal data time. The "
-        "spheres contain the arm from the upper arm on, so the true distance is never smaller.",
-        clearance_plot,
-    ),
-    ("occupancy", "Predicted occupancy", "Size of the space the human is predicted to need.", occupancy_plot),
-    (
-        "joints",
-        "Arm joints",
-        "Measured positions and velocities; dashed red lines are limits, drawn where they are near.",
-        joints_plot,
-    ),
-    (
-        "latency",
-        "Delays",
-        "Wall time between sending a posture and sending what follows from it, and wall time of one replanning step.",
-        latency_plot,
-    ),
-)
+#: The report's plots by key. Title and caption are the function's docstring; a plot without data says so.
+_PLOTS: dict[str, Callable[[Analysis], Figure]] = {
+    "top-view": top_view_plot,
+    "posterior": posterior_plot,
+    "goal-costs": goal_costs_plot,
+    "cost-terms": cost_terms_plot,
+    "predictions": snapshots_plot,
+    "clearance": clearance_plot,
+    "occupancy": occupancy_plot,
+    "joints": joints_plot,
+    "latency": latency_plot,
+}
 
 
 def draw_plots(analysis: Analysis) -> list[Plot]:
     """Return the plots of a run; on Linux, half of them are drawn by a second process that begins as a copy of this."""
+    keys = list(_PLOTS)
     with report_style():
         if sys.platform != "linux" or len(os.sched_getaffinity(0)) < 2:
-            return _drawn(_PLOTS, analysis)
+            return _drawn(keys, analysis)
         context = multiprocessing.get_context("fork")
         receiver, sender = context.Pipe(duplex=False)
-        helper = context.Process(target=_send_drawn, args=(sender, analysis), daemon=True)
+        helper = context.Process(target=_send_drawn, args=(sender, keys[1::2], analysis), daemon=True)
         with warnings.catch_warnings():
             # Newer Pythons warn of forks beside threads; the copy only draws, which needs no other thread.
             warnings.simplefilter("ignore", DeprecationWarning)
             helper.start()
         sender.close()
-        plots = _drawn(_PLOTS[::2], analysis)
+        plots = _drawn(keys[::2], analysis)
         try:
             others = receiver.recv()
         except EOFError:  # it was killed, or what it met is met here again
-            others = _drawn(_PLOTS[1::2], analysis)
+            others = _drawn(keys[1::2], analysis)
         helper.join()
-    found = {plot.key: plot for plot in (*plots, *others)}
-    return [found[key] for key, *_ in _PLOTS]
+    return sorted([*plots, *others], key=lambda plot: keys.index(plot.key))
 
 
-def _send_drawn(sender: Connection, analysis: Analysis) -> None:
+def _send_drawn(sender: Connection, keys: Sequence[str], analysis: Analysis) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the first process, which ends this one
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    sender.send(_drawn(_PLOTS[1::2], analysis))
+    sender.send(_drawn(keys, analysis))
 
 
-def _drawn(plots: Sequence[tuple[str, str, str, Callable[[Analysis], Figure]]], analysis: Analysis) -> list[Plot]:
-    return [Plot(key, title, caption, Markup(svg_of(draw(analysis), key))) for key, title, caption, draw in plots]
+def _drawn(keys: Sequence[str], analysis: Analysis) -> list[Plot]:
+    drawn = [(key, *_told(_PLOTS[key]), svg_of(_PLOTS[key](analysis), key)) for key in keys]
+    return [Plot(key, title, caption, Markup(svg)) for key, title, caption, svg in drawn]
+
+
+def _told(draw: Callable[[Analysis], Figure]) -> tuple[str, str]:
+    """Return the title and the caption in a function's docstring."""
+    title, _, caption = (inspect.getdoc(draw) or draw.__name__).partition(".\n\n")
+    return title.removesuffix("."), " ".join(caption.split())
 
 
 def reproduce_command(run: Run) -> str:
