@@ -261,6 +261,7 @@ def test_help_shows_defaults_and_units(capsys: pytest.CaptureFixture[str]) -> No
     assert "(default: four_places)" in shown
     assert "--hold-last-s S" in shown
     assert "--real-time [N]" in shown
+    assert shown.index("The main job") < shown.index("Five processes") < shown.index("--scene SCENE scene name")
 
 
 @pytest.mark.parametrize(

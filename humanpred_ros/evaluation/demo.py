@@ -219,22 +219,18 @@ def _facts(settings: DemoSettings, motion: Motion, period_s: float) -> dict[str,
     """Return what the run's bag tells about the run."""
     from humanpred_ros.occupancy.predictor import predictor_type
 
+    told = ("scene", "library", "seed", "predictor", "hold_out", "steps")
     return {
-        "scene": settings.scene,
-        "library": settings.library,
+        **{name: getattr(settings, name) for name in told},
         "trajectory": motion.name,
-        "seed": settings.seed,
         "mode": "stepped" if settings.stepped else "real_time",
         "rate": settings.real_time or "",
         "period_s": repr(period_s),
-        "predictor": settings.predictor,
         "classifier": settings.classifier if predictor_type(settings.predictor).classifiers != () else "",
         "detect_onsets": settings.onsets,
         "threshold": repr(settings.threshold),
         "package_version": __version__,
         "duration_s": repr(motion.duration_s),
-        "hold_out": settings.hold_out,
-        "steps": settings.steps,
         "cost_terms": " ".join(settings.cost_terms),
         "set": json.dumps(settings.set),
         "model": settings.model or "",
