@@ -30,24 +30,12 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "generate": ("motion.commands:generate", "make a synthetic motion library by simulation"),
     "report": ("commands:report", "write the HTML report of a recorded run"),
     "replay": ("commands:replay", "feed a run's recorded occupancy to a fresh planner and compare its decisions"),
-    "evaluate recognition": (
-        "evaluation.recognition:run",
-        "how early and surely a reach is recognised (P1 Fig. 6)",
-    ),
+    "evaluate recognition": ("evaluation.recognition:run", "how early and surely a reach is recognised (P1 Fig. 6)"),
     "evaluate occupancy": ("evaluation.occupancy:run", "predicted occupancy against the voxels really swept"),
-    "evaluate streams": (
-        "evaluation.streams:run",
-        "onsets, ends and recognition on long streams with pauses",
-    ),
-    "evaluate interference": (
-        "evaluation.interference:run",
-        "how much the arm disturbs the person (P1 Table I)",
-    ),
+    "evaluate streams": ("evaluation.streams:run", "onsets, ends and recognition on long streams with pauses"),
+    "evaluate interference": ("evaluation.interference:run", "how much the arm disturbs the person (P1 Table I)"),
     "evaluate switching": ("evaluation.switching:run", "when the arm changes its goal (P1 Fig. 9)"),
-    "evaluate reaching": (
-        "evaluation.reaching:run",
-        "predicted reaches against recorded (P2 Tables I to III, Figs. 7, 10)",
-    ),
+    "evaluate reaching": ("evaluation.reaching:run", "predicted reaches against recorded (P2 Tables, Figs. 7, 10)"),
     "bench predictor": ("evaluation.predictor_bench:run", "time per posture, and occupancies a second over DDS"),
     "bench planner": ("evaluation.planner_bench:run", "time per goal beside the C++ floor"),
     "bench graph": ("evaluation.graph_bench:run", "posture to trajectory over DDS at 30 Hz, per number of goals"),

@@ -14,7 +14,7 @@ import subprocess
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -110,11 +110,9 @@ def measure(settings: PlannerBenchSettings, begin: Begin) -> Report:
             _round(found, k, world, full, yardstick, pool)
             advance(k + 1)
         growth = list(_growth(workload, yardstick, pool, begin)) if settings.growth else []
-    best = None
     if found["least floor"]:
-        best = min(found["least ours"]) / min(found["least floor"])
-    figures: dict[str, Any] = {key: Spread.of(found[key]) if found[key] else None for key in _TITLES}
-    figures["best_to_floor"] = best
+        found["best_to_floor"].append(min(found["least ours"]) / min(found["least floor"]))
+    figures = {key: Spread.of(found[key]) for key in _TITLES}
     facts = {"lookups": workload.lookups, **figures, "growth": growth, "published_ms": PUBLISHED_MS}
     return Report(
         f"{workload.iterations} iterations x {workload.rollouts} rollouts x {workload.waypoints} waypoints, "
@@ -191,10 +189,7 @@ def _growth(
                 "what": what,
                 "size": size,
                 "lookups": world.workload.lookups * (size if what == "goals" else 1),
-                **{
-                    key: Spread.of(samples[key]) if samples[key] else None
-                    for key in ("ours_ms", "two_threads_ms", "floor_ms", "to_floor")
-                },
+                **{key: Spread.of(samples[key]) for key in ("ours_ms", "two_threads_ms", "floor_ms", "to_floor")},
             }
 
 
@@ -215,13 +210,8 @@ def _overruns_ms(world: BenchWorld, goals: Sequence[int], share: float) -> Itera
     wanted_s = 1e-3 * float(np.median(durations_ms(partial(plan_one, world), goals)))
     for goal in goals:
         end = time.perf_counter() + share * wanted_s
-        over = partial(_is_over, end)
-        world.planner.plan(world.paths[goal], np.random.default_rng(goal), over)
+        world.planner.plan(world.paths[goal], np.random.default_rng(goal), lambda end=end: time.perf_counter() >= end)  # type: ignore[misc]
         yield 1e3 * (time.perf_counter() - end)
-
-
-def _is_over(end: float) -> bool:
-    return time.perf_counter() >= end
 
 
 def _goals_of_round(k: int, workload: Workload) -> list[int]:
@@ -301,20 +291,19 @@ def _run(limit_s: float, *command: object) -> subprocess.CompletedProcess[str]:
 
 
 def _tables(
-    settings: PlannerBenchSettings, figures: dict[str, Any], growth: Sequence[dict[str, Any]]
+    settings: PlannerBenchSettings, figures: Mapping[str, Spread], growth: Sequence[dict[str, Any]]
 ) -> Iterator[Table]:
-    heads = ("", ("median", ".2f"), ("least", ".2f"), ("most", ".2f"), "n", ("published", ".0f"))
-    rows: list[tuple[Any, ...]] = []
-    for key, title in _TITLES.items():
-        spread, published = figures[key], PUBLISHED_MS if key == "ours_ms" else None
-        if isinstance(spread, Spread):
-            rows.append((title, spread.median, spread.least, spread.most, spread.n, published))
-        else:
-            rows.append((title, spread, None, None, None, published))
-    yield Table.of_rows(
+    yield Table(
         f"Milliseconds; {settings.goals} goals",
-        heads,
-        rows,
+        list(figures),
+        (
+            Column("", lambda key: _TITLES[key]),
+            Column("median", lambda key: figures[key].median, ".2f"),
+            Column("least", lambda key: figures[key].least, ".2f"),
+            Column("most", lambda key: figures[key].most, ".2f"),
+            Column("n", lambda key: figures[key].n),
+            Column("published", lambda key: PUBLISHED_MS if key == "ours_ms" else None, ".0f"),
+        ),
         f"{settings.lookups:,} lookups per goal: each point and sphere at each waypoint of every new rollout and of "
         "the noiseless trajectory.",
     )
@@ -325,26 +314,17 @@ def _tables(
             (
                 Column("growth with", lambda row: f"{row['what']}, {row['size']}"),
                 Column("lookups", lambda row: row["lookups"], ",d"),
-                Column("ours", lambda row: _median(row, "ours_ms"), ".1f", "ms"),
-                Column("two threads", lambda row: _median(row, "two_threads_ms"), ".1f", "ms"),
-                Column("floor", lambda row: _median(row, "floor_ms"), ".1f", "ms"),
-                Column("ours / floor", lambda row: _median(row, "to_floor"), ".2f"),
+                Column("ours", lambda row: row["ours_ms"].median, ".1f", "ms"),
+                Column("two threads", lambda row: row["two_threads_ms"].median, ".1f", "ms"),
+                Column("floor", lambda row: row["floor_ms"].median, ".1f", "ms"),
+                Column("ours / floor", lambda row: row["to_floor"].median, ".2f"),
             ),
         )
 
 
-def _median(row: dict[str, Any], key: str) -> float | None:
-    return row[key].median if row[key] is not None else None
-
-
 def _points(growth: Sequence[dict[str, Any]]) -> Iterator[tuple[str, int, str, float]]:
-    lines = {
-        "ours_ms": "ours, one thread",
-        "two_threads_ms": "ours, two threads",
-        "floor_ms": "C++ floor, one thread",
-    }
+    lines = {"ours_ms": "ours, one thread", "two_threads_ms": "ours, two threads", "floor_ms": "C++ floor, one thread"}
     for row in growth:
         for key, name in lines.items():
-            value = _median(row, key)
-            if value is not None:
-                yield row["what"], row["size"], name, value
+            if row[key].n:
+                yield row["what"], row["size"], name, row[key].median
