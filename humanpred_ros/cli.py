@@ -11,6 +11,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, Literal, NoReturn, get_args, get_origin, get_type_hints
 
 from rich.console import Console
@@ -22,7 +23,8 @@ from humanpred_ros.settings import Settings, facts_of, spelled
 #: Width of tables that go to a file or another program.
 _WIDTH_OF_FILES = 130
 #: The words of each command, the function that carries it out (below this package), and what it does.
-#: The function takes settings, whose class its annotation names, and a console; it returns the exit status.
+#: The function takes settings, whose class its annotation names, and a console; it returns the exit status. What an
+#: evaluation measures is presented by `evaluation.framework`.
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("evaluation.demo:run", "replay, predict and plan over DDS, recorded to MCAP, with a report at the end"),
     "train": ("commands:train", "learn a model from a motion library"),
@@ -30,15 +32,18 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "generate": ("motion.commands:generate", "make a synthetic motion library by simulation"),
     "report": ("commands:report", "write the HTML report of a recorded run"),
     "replay": ("commands:replay", "feed a run's recorded occupancy to a fresh planner and compare its decisions"),
-    "evaluate recognition": ("evaluation.recognition:run", "how early and surely a reach is recognised (P1 Fig. 6)"),
-    "evaluate occupancy": ("evaluation.occupancy:run", "predicted occupancy against the voxels really swept"),
-    "evaluate streams": ("evaluation.streams:run", "onsets, ends and recognition on long streams with pauses"),
-    "evaluate interference": ("evaluation.interference:run", "how much the arm disturbs the person (P1 Table I)"),
-    "evaluate switching": ("evaluation.switching:run", "when the arm changes its goal (P1 Fig. 9)"),
-    "evaluate reaching": ("evaluation.reaching:run", "predicted reaches against recorded (P2 Tables, Figs. 7, 10)"),
-    "bench predictor": ("evaluation.predictor_bench:run", "time per posture, and occupancies a second over DDS"),
-    "bench planner": ("evaluation.planner_bench:run", "time per goal beside the C++ floor"),
-    "bench graph": ("evaluation.graph_bench:run", "posture to trajectory over DDS at 30 Hz, per number of goals"),
+    "evaluate recognition": (
+        "evaluation.recognition:measure",
+        "how early and surely a reach is recognised (P1 Fig. 6)",
+    ),
+    "evaluate occupancy": ("evaluation.occupancy:measure", "predicted occupancy against the voxels really swept"),
+    "evaluate streams": ("evaluation.streams:measure", "onsets, ends and recognition on long streams with pauses"),
+    "evaluate interference": ("evaluation.interference:measure", "how much the arm disturbs the person (P1 Table I)"),
+    "evaluate switching": ("evaluation.switching:measure", "when the arm changes its goal (P1 Fig. 9)"),
+    "evaluate reaching": ("evaluation.reaching:measure", "predicted reaches against recorded (P2 Tables, Figs. 7, 10)"),
+    "bench predictor": ("evaluation.predictor_bench:measure", "time per posture, and occupancies a second over DDS"),
+    "bench planner": ("evaluation.planner_bench:measure", "time per goal beside the C++ floor"),
+    "bench graph": ("evaluation.graph_bench:measure", "posture to trajectory over DDS at 30 Hz, per number of goals"),
     "bag check": ("commands:bag_check", "read a bag completely, with checksums"),
     "bag salvage": ("commands:bag_salvage", "copy what is intact in a damaged bag to a new one"),
 }
@@ -101,16 +106,23 @@ def _overview(group: str) -> str:
 def _parse_flags(name: str, where: str, words: list[str]) -> tuple[Command, Any]:
     module_name, function = where.split(":")
     module = importlib.import_module(f"humanpred_ros.{module_name}")
-    run: Command = getattr(module, function)
+    named = getattr(module, function)
     # A module with one command says what it does; else each function does.
-    text = inspect.getdoc(module if function == "run" else run) or ""
+    text = inspect.getdoc(module if function in ("run", "measure") else named) or ""
     parser = _Parser(prog=f"humanpred {name}", description=text.partition("\n\nRaises:")[0], formatter_class=_Help)
-    settings_type: type[Settings] = next(iter(get_type_hints(run).values()))
+    settings_type: type[Settings] = next(iter(get_type_hints(named).values()))
     add_flags(parser, settings_type)
     try:
-        return run, settings_type(**vars(parser.parse_args(words)))
+        settings = settings_type(**vars(parser.parse_args(words)))
     except SettingsError as error:
         raise SettingsError(spelled(error, settings_type, lambda name: flag(settings_type, name))) from None
+    return partial(_presented, named) if function == "measure" else named, settings
+
+
+def _presented(measure: Any, settings: Any, console: Console) -> int:
+    from humanpred_ros.evaluation.framework import present
+
+    return present(settings, console, measure)
 
 
 class _Help(argparse.HelpFormatter):

@@ -1,6 +1,6 @@
 """What every evaluation and benchmark shares: its settings, its report, how that is printed, written and drawn.
 
-An evaluation is one file: a class of settings, `measure`, and `run`, which the command line calls. For example::
+An evaluation is one file: a class of settings and `measure`, which the command line gives to `present`. For example::
 
     class SpeedSettings(LibrarySettings):
         percent: int = setting(60, "part of each motion that is looked at", unit="%", low=1, high=100)
@@ -19,9 +19,6 @@ An evaluation is one file: a class of settings, `measure`, and `run`, which the 
         )
         figures = {"library": library_facts(library), "speed_mps": speeds}
         return Report(f"{library.name}: speeds", (table,), figures, draw=lambda: draw_speeds(speeds))
-
-    def run(settings: SpeedSettings, console: Console) -> int:
-        return present(settings, console, measure)
 
 `present` shows the progress, prints the report, and writes what `--json`, `--csv` and `--plot` ask for. A table has a
 record in each row and a figure in each column; how it is laid out on the screen depends on its size alone.

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from humanpred_ros.errors import SettingsError, UsageError
 from humanpred_ros.evaluation.bench_nodes import (
@@ -28,7 +27,7 @@ from humanpred_ros.evaluation.bench_nodes import (
     write_scene,
 )
 from humanpred_ros.evaluation.demo import training_part
-from humanpred_ros.evaluation.framework import Begin, Column, OutputSettings, Report, Table, present
+from humanpred_ros.evaluation.framework import Begin, Column, OutputSettings, Report, Table
 from humanpred_ros.evaluation.processes import NodeGroup, ParameterValue, free_domain_id
 from humanpred_ros.evaluation.timing import MachineLoad, Spread, growth_plot
 from humanpred_ros.human.model import HumanModel
@@ -73,11 +72,6 @@ class GraphBenchSettings(OutputSettings):
                 f"{type(self).__name__} seconds: wanted at least two replanning steps of {self.period:g} s, "
                 f"got {self.seconds:g} s"
             )
-
-
-def run(settings: GraphBenchSettings, console: Console) -> int:
-    """Carry out `humanpred bench graph`."""
-    return present(settings, console, measure)
 
 
 def measure(settings: GraphBenchSettings, begin: Begin) -> Report:

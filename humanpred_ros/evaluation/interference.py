@@ -15,10 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.framework import Begin, Column, Report, Table, chosen_names, present
+from humanpred_ros.evaluation.framework import Begin, Column, Report, Table, chosen_names
 from humanpred_ros.evaluation.interference_runs import (
     BASIC,
     PREDICTING,
@@ -71,11 +70,6 @@ class InterferenceSettings(SimulationSettings):
         """Return the methods of the comparison in the order of `METHODS`. Raises UsageError for unknown ones."""
         chosen = chosen_names(self.methods, METHODS, "methods")
         return tuple(name for name in METHODS if name in {*chosen, BASIC})
-
-
-def run(settings: InterferenceSettings, console: Console) -> int:
-    """Carry out `humanpred evaluate interference`."""
-    return present(settings, console, measure)
 
 
 def measure(settings: InterferenceSettings, begin: Begin, run_settings: RunSettings | None = None) -> Report:

@@ -23,7 +23,6 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 
 from humanpred_ros import plugins
 from humanpred_ros.errors import UsageError
@@ -33,7 +32,6 @@ from humanpred_ros.evaluation.framework import (
     LibrarySettings,
     Report,
     chosen_names,
-    present,
 )
 from humanpred_ros.evaluation.leave_one_out import (
     LEARNS_CLASSES,
@@ -352,8 +350,3 @@ def measure(settings: OccupancySettings, begin: Begin) -> Report:
     library = settings.read_library()
     advance = begin("motions", len(tested_motions(library, settings.every)))
     return report_of(*evaluate_occupancy(library, settings, advance))
-
-
-def run(settings: OccupancySettings, console: Console) -> int:
-    """Evaluate, print, write; return the exit status."""
-    return present(settings, console, measure)

@@ -22,10 +22,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.console import Console
 
 from humanpred_ros.errors import SettingsError, UsageError
-from humanpred_ros.evaluation.framework import Begin, Column, OutputSettings, Report, Table, present
+from humanpred_ros.evaluation.framework import Begin, Column, OutputSettings, Report, Table
 from humanpred_ros.evaluation.planner_bench_world import BenchWorld, Workload, bench_world
 from humanpred_ros.evaluation.timing import MachineLoad, Spread, durations_ms, growth_plot
 from humanpred_ros.resources import share_directory
@@ -86,11 +85,6 @@ class PlannerBenchSettings(OutputSettings, Workload):
         super().check()
         if self.plot is not None and not self.growth:
             raise SettingsError(f"{type(self).__name__} plot: draws what the time grows with; leave out --no-growth")
-
-
-def run(settings: PlannerBenchSettings, console: Console) -> int:
-    """Carry out `humanpred bench planner`."""
-    return present(settings, console, measure)
 
 
 def measure(settings: PlannerBenchSettings, begin: Begin) -> Report:

@@ -15,11 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from humanpred_ros import plugins
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.framework import Begin, Column, LibrarySettings, OutputSettings, Report, Table, present
+from humanpred_ros.evaluation.framework import Begin, Column, LibrarySettings, OutputSettings, Report, Table
 from humanpred_ros.evaluation.occupancy_scores import P1_RESOLUTION_M
 from humanpred_ros.evaluation.predictor_bench_node import TOLD, People, measure_node
 from humanpred_ros.evaluation.timing import MachineLoad, Spread, growth_plot
@@ -58,11 +57,6 @@ class PredictorBenchSettings(OutputSettings):
     )
     motions: int = setting(5, "motions played for each figure, and not trained on", low=1)
     node: bool = setting(True, "measure the node over DDS, too")
-
-
-def run(settings: PredictorBenchSettings, console: Console) -> int:
-    """Carry out `humanpred bench predictor`."""
-    return present(settings, console, measure)
 
 
 def measure(settings: PredictorBenchSettings, begin: Begin) -> Report:

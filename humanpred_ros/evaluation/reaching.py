@@ -8,9 +8,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
-from humanpred_ros.evaluation.framework import Begin, Column, Report, Table, present
+from humanpred_ros.evaluation.framework import Begin, Column, Report, Table
 from humanpred_ros.evaluation.reaching_plot import draw_reaching
 from humanpred_ros.evaluation.reaching_predictors import BETTER
 from humanpred_ros.evaluation.reaching_runs import (
@@ -38,11 +36,6 @@ INTERFERENCE_BESIDE_DEMOS = "interference_case"
 _TITLES = ("joint", "task as coded", "task")
 #: Titles of `STATISTICS` but the mean.
 _SPREAD = ("sd", "least", "largest")
-
-
-def run(settings: ReachingSettings, console: Console) -> int:
-    """Evaluate, print and write the files that were asked for; return 0 (HumanPredError for what cannot be done)."""
-    return present(settings, console, measure)
 
 
 def measure(settings: ReachingSettings, begin: Begin) -> Report:

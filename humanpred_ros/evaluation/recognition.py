@@ -16,10 +16,9 @@ from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from rich.console import Console
 
 from humanpred_ros import plugins
-from humanpred_ros.evaluation.framework import Advance, Begin, LibrarySettings, Report, chosen_names, present
+from humanpred_ros.evaluation.framework import Advance, Begin, LibrarySettings, Report, chosen_names
 from humanpred_ros.evaluation.leave_one_out import (
     LEARNS_CLASSES,
     LEARNS_FROM_OTHERS,
@@ -384,8 +383,3 @@ def measure(settings: RecognitionSettings, begin: Begin) -> Report:
         () if why_not is None else (f"Without unknown motions: {why_not}.",),
         lambda: recognition_plot(results, reference),
     )
-
-
-def run(settings: RecognitionSettings, console: Console) -> int:
-    """Evaluate, print, write; return the exit status."""
-    return present(settings, console, measure)

@@ -14,7 +14,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.console import Console
 
 from humanpred_ros.errors import LibraryFormatError
 from humanpred_ros.evaluation.framework import (
@@ -23,7 +22,6 @@ from humanpred_ros.evaluation.framework import (
     LibrarySettings,
     Report,
     chosen_names,
-    present,
 )
 from humanpred_ros.evaluation.leave_one_out import UpdateLog, answers
 from humanpred_ros.evaluation.outputs import library_facts
@@ -361,8 +359,3 @@ def measure(settings: StreamSettings, begin: Begin) -> Report:
         {"library": library_facts(library), "onset": OnsetSettings(), "flagged": sorted(flagged), **found},
         draw=lambda: stream_plot(found),
     )
-
-
-def run(settings: StreamSettings, console: Console) -> int:
-    """Evaluate, print, write; return the exit status."""
-    return present(settings, console, measure)

@@ -19,10 +19,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.framework import Begin, Column, Report, Table, present
+from humanpred_ros.evaluation.framework import Begin, Column, Report, Table
 from humanpred_ros.evaluation.outputs import library_facts
 from humanpred_ros.evaluation.parallel import map_processes
 from humanpred_ros.evaluation.run_plots import draw_switching
@@ -57,11 +56,6 @@ class SwitchingSettings(SimulationSettings):
     trajectory: str = setting("77", "motion of Fig. 9, class/index or running number; empty leaves it out")
     seeds: int = setting(10, "runs of Fig. 9", low=1)
     motions: int | None = setting(None, "show only so many first motions of every class; 0 none; all by default", low=0)
-
-
-def run(settings: SwitchingSettings, console: Console) -> int:
-    """Carry out `humanpred evaluate switching`."""
-    return present(settings, console, measure)
 
 
 def measure(settings: SwitchingSettings, begin: Begin, run_settings: RunSettings | None = None) -> Report:

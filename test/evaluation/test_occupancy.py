@@ -19,9 +19,9 @@ from small_library import small_library
 
 from humanpred_ros.errors import ArrayError, HumanPredError, LibraryFormatError
 from humanpred_ros.evaluation import occupancy as occupancy_module
-from humanpred_ros.evaluation.framework import print_report
+from humanpred_ros.evaluation.framework import present, print_report
 from humanpred_ros.evaluation.leave_one_out import LeaveOneOut
-from humanpred_ros.evaluation.occupancy import LeftOutMotions, OccupancySettings, evaluate_occupancy, run, until_end
+from humanpred_ros.evaluation.occupancy import LeftOutMotions, OccupancySettings, evaluate_occupancy, measure, until_end
 from humanpred_ros.evaluation.occupancy_report import report_of
 from humanpred_ros.evaluation.occupancy_scores import Played, grid_around, swept_region
 from humanpred_ros.geometry.checks import FloatArray
@@ -352,7 +352,7 @@ def test_everything_printed_is_in_the_json(tmp_path: Path) -> None:
         library=str(bag), predictor=("current", "swept_volume"), every=4, seed=3, shift=(0.3, -0.1, 20.0),
         json=json_file, plot=plot_file,
     )  # fmt: skip
-    assert run(settings, Console(file=text, width=120)) == 0
+    assert present(settings, Console(file=text, width=120), measure) == 0
     found: dict[str, Any] = json.loads(json_file.read_text(encoding="utf-8"))
     assert [predictor["name"] for predictor in found["predictors"]] == ["current", "swept_volume"]
     for predictor in found["predictors"]:

@@ -15,8 +15,9 @@ from rich.console import Console
 from small_library import small_library
 
 from humanpred_ros.errors import HumanPredError, LibraryFormatError
+from humanpred_ros.evaluation.framework import present
 from humanpred_ros.evaluation.published import advice_beside, read_reference, reference_beside
-from humanpred_ros.evaluation.recognition import RecognitionSettings, run
+from humanpred_ros.evaluation.recognition import RecognitionSettings, measure
 from humanpred_ros.motion.bag_library import write_library_bag
 
 CURVE = "phase_percent,recognition_rate\n" + "".join(f"{p},{p / 100}\n" for p in range(1, 101))
@@ -37,7 +38,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def evaluate(library: Path | str, **settings: Any) -> str:
     text = io.StringIO()
     given = RecognitionSettings(**{"library": str(library), **settings})
-    assert run(given, Console(file=text, width=120)) == 0
+    assert present(given, Console(file=text, width=120), measure) == 0
     return text.getvalue()
 
 

@@ -13,7 +13,8 @@ from rich.console import Console
 from small_library import small_library
 
 from humanpred_ros.errors import HumanPredError, LibraryFormatError
-from humanpred_ros.evaluation.streams import StreamSettings, check_rounds, evaluate_streams, run
+from humanpred_ros.evaluation.framework import present
+from humanpred_ros.evaluation.streams import StreamSettings, check_rounds, evaluate_streams, measure
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.motion import MotionLibrary
 
@@ -39,7 +40,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_streams_are_evaluated_written_and_drawn(library: Path, tmp_path: Path, in_this_process: None) -> None:
     out, plot, text = tmp_path / "streams.json", tmp_path / "plot.svg", io.StringIO()
     settings = StreamSettings(library=str(library), standing=1.0, json=out, plot=plot)
-    assert run(settings, Console(file=text, width=120)) == 0
+    assert present(settings, Console(file=text, width=120), measure) == 0
     found = json.loads(out.read_text(encoding="utf-8"))
     recorded = found["variants"][0]
     assert recorded["groups"]["all"]["n_motions"] == len(found["motions"]) == 9
