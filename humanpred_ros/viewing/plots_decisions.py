@@ -12,22 +12,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.viewing import figures as look
 from humanpred_ros.viewing.analysis import Analysis, RunSummary
-from humanpred_ros.viewing.figures import (
-    ALARM,
-    CAUTION,
-    DASHES,
-    INK,
-    MARKERS,
-    MUTED,
-    SERIES,
-    WASH,
-    class_style,
-    empty_figure,
-    label_above,
-    legend_beside,
-    new_panel,
-)
 from humanpred_ros.viewing.plots_time import mark_events
 
 #: Classes that never reach this probability share the legend's last entry.
@@ -36,9 +22,9 @@ _NEVER_LIKELY = 0.05
 _LINEAR_BELOW = 2.0
 #: Steps in which the arm is not sent to a goal: colour, how strong, and what the legend says.
 _SHADED = {
-    "missed": (ALARM, 0.10, "step missed"),
-    "hold": (INK, 0.12, "arm stops"),
-    "evade": (CAUTION, 0.18, "arm moves aside"),
+    "missed": (look.ALARM, 0.10, "step missed"),
+    "hold": (look.INK, 0.12, "arm stops"),
+    "evade": (look.CAUTION, 0.18, "arm moves aside"),
 }
 
 
@@ -50,8 +36,8 @@ def posterior_plot(analysis: Analysis) -> Figure:
     """
     track, summary = analysis.run.posterior, analysis.summary
     if not len(track):
-        return empty_figure("no class posterior was recorded")
-    figure, axes = new_panel(3.1)
+        return look.empty_figure("no class posterior was recorded")
+    figure, axes = look.new_panel(3.1)
     hidden = []
     for k, label in enumerate(track.labels):
         column = track.probability[:, k]
@@ -59,21 +45,21 @@ def posterior_plot(analysis: Analysis) -> Figure:
             hidden.append(str(label))
             continue
         true = summary.recognised is not None and summary.recognised.true_class == label
-        style = class_style(k) | ({"linewidth": 2.6} if true else {})
+        style = look.class_style(k) | ({"linewidth": 2.6} if true else {})
         axes.plot(track.t_s, column, drawstyle="steps-post", label=f"class {label}{' (true)' * true}", **style)
     if track.unknown.any():
         # An area, where the classes are lines: it is what they leave.
         axes.fill_between(
-            track.t_s, track.unknown, step="post", facecolor=WASH, edgecolor=MUTED, hatch="////", linewidth=0.0,
-            label="no known class", zorder=1.1,
+            track.t_s, track.unknown, step="post", facecolor=look.WASH, edgecolor=look.MUTED, hatch="////",
+            linewidth=0.0, label="no known class", zorder=1.1,
         )  # fmt: skip
-        axes.plot(track.t_s, track.unknown, drawstyle="steps-post", color=INK, linewidth=1.1, zorder=1.2)
+        axes.plot(track.t_s, track.unknown, drawstyle="steps-post", color=look.INK, linewidth=1.1, zorder=1.2)
     if hidden:
         axes.plot([], [], color="none", label=f"never above {_NEVER_LIKELY:.0%}:\n{', '.join(hidden)}")
     axes.set_ylim(-0.02, 1.02)
     axes.set_ylabel("probability")
     mark_events(axes, analysis)
-    legend_beside(axes)
+    look.legend_beside(axes)
     return figure
 
 
@@ -86,14 +72,14 @@ def goal_costs_plot(analysis: Analysis) -> Figure:
     """
     run, summary, colours = analysis.run, analysis.summary, analysis.colours
     if not summary.steps:
-        return empty_figure("no replanning step was recorded")
-    figure, axes = new_panel(3.6)
+        return look.empty_figure("no replanning step was recorded")
+    figure, axes = look.new_panel(3.6)
     number = np.array([row.step for row in summary.steps])
     costs = {goal: _column([row.costs.get(goal) for row in summary.steps]) for goal in summary.goals}
     _log_scale(axes, np.concatenate(list(costs.values())))
     for k, (goal, cost) in enumerate(costs.items()):
-        style = {"color": colours[goal], "linestyle": DASHES[k % len(DASHES)]}
-        axes.plot(number, cost, marker=MARKERS[k % len(MARKERS)], markersize=4.5, label=goal, **style)
+        style = {"color": colours[goal], "linestyle": look.DASHES[k % len(look.DASHES)]}
+        axes.plot(number, cost, marker=look.MARKERS[k % len(look.MARKERS)], markersize=4.5, label=goal, **style)
         chosen = np.array([row.chosen == goal and not row.lost_to for row in summary.steps])
         axes.plot(
             number[chosen], cost[chosen], marker="o", markersize=11, linestyle="none",
@@ -104,18 +90,19 @@ def goal_costs_plot(analysis: Analysis) -> Figure:
             priced = np.isfinite(plan.selection_cost)
             if plan.set_aside and priced:
                 axes.plot(
-                    [step], [plan.selection_cost], marker=MARKERS[k % len(MARKERS)], markersize=4.5, zorder=3,
+                    [step], [plan.selection_cost], marker=look.MARKERS[k % len(look.MARKERS)], markersize=4.5, zorder=3,
                     markerfacecolor="white", markeredgecolor=colours[goal],
                 )  # fmt: skip
             elif not plan.valid:  # without a cost the mark goes to the upper edge
                 axes.plot(
-                    [step], [plan.selection_cost if priced else 0.97 - 0.06 * k], marker="x", color=ALARM, markersize=9,
-                    markeredgewidth=1.8, transform=axes.transData if priced else axes.get_xaxis_transform(), zorder=4,
+                    [step], [plan.selection_cost if priced else 0.97 - 0.06 * k], marker="x", color=look.ALARM,
+                    markersize=9, markeredgewidth=1.8, zorder=4,
+                    transform=axes.transData if priced else axes.get_xaxis_transform(),
                 )  # fmt: skip
     for switch in summary.switches:
-        colour = colours.get(switch.goal_after, INK)
+        colour = colours.get(switch.goal_after, look.INK)
         axes.axvline(switch.step, color=colour, linewidth=1.0, alpha=0.6, zorder=0)
-        label_above(axes, switch.step, f"switch to {switch.goal_after}", colour, align="center")
+        look.label_above(axes, switch.step, f"switch to {switch.goal_after}", colour, align="center")
     for row in summary.steps:
         if row.lost_to:
             colour, strength, _ = _SHADED[row.lost_to]
@@ -123,17 +110,17 @@ def goal_costs_plot(analysis: Analysis) -> Figure:
     axes.set_ylabel("selection cost")
     _step_axis(axes, summary)
     handles, _ = axes.get_legend_handles_labels()
-    handles.append(_key(marker="o", markersize=9, markerfacecolor="none", color=MUTED, label="chosen"))
+    handles.append(_key(marker="o", markersize=9, markerfacecolor="none", color=look.MUTED, label="chosen"))
     everything = [plan for decision in run.steps for plan in decision.goals]
     if any(plan.set_aside for plan in everything):
-        handles.append(_key(marker="o", markersize=4.5, markerfacecolor="white", color=MUTED, label="set aside"))
+        handles.append(_key(marker="o", markersize=4.5, markerfacecolor="white", color=look.MUTED, label="set aside"))
     if any(not plan.eligible and not plan.set_aside for plan in everything):
-        handles.append(_key(marker="x", markersize=8, markeredgewidth=1.8, color=ALARM, label="plan invalid"))
+        handles.append(_key(marker="x", markersize=8, markeredgewidth=1.8, color=look.ALARM, label="plan invalid"))
     actions = {row.lost_to for row in summary.steps}
     for action, (colour, strength, text) in _SHADED.items():
         if action in actions:
             handles.append(_key(marker="s", markersize=9, color=colour, alpha=2.0 * strength, label=text))
-    legend_beside(axes, handles=handles)
+    look.legend_beside(axes, handles=handles)
     return figure
 
 
@@ -146,8 +133,8 @@ def cost_terms_plot(analysis: Analysis) -> Figure:
     plans = [decision.plan_of_chosen for decision in run.steps]
     names = tuple(dict.fromkeys(name for plan in plans if plan is not None for name in plan.terms))
     if not names:
-        return empty_figure("no cost terms were recorded")
-    figure, axes = new_panel(3.2)
+        return look.empty_figure("no cost terms were recorded")
+    figure, axes = look.new_panel(3.2)
     number = np.array([row.step for row in summary.steps])
     terms = {name: _column([plan.terms.get(name) if plan else None for plan in plans]) for name in names}
     zero = [name.replace("_", " ") for name, cost in terms.items() if not np.nan_to_num(cost).any()]
@@ -155,15 +142,16 @@ def cost_terms_plot(analysis: Analysis) -> Figure:
     _log_scale(axes, np.concatenate([*terms.values(), np.zeros(0)]))
     for k, (name, cost) in enumerate(terms.items()):
         axes.plot(
-            number, cost, marker=MARKERS[k % len(MARKERS)], markersize=4.5, color=SERIES[k % len(SERIES)],
-            linestyle=DASHES[(k // len(SERIES)) % len(DASHES)], label=name.replace("_", " "),
+            number, cost, marker=look.MARKERS[k % len(look.MARKERS)], markersize=4.5,
+            color=look.SERIES[k % len(look.SERIES)],
+            linestyle=look.DASHES[(k // len(look.SERIES)) % len(look.DASHES)], label=name.replace("_", " "),
         )  # fmt: skip
     if zero:
         axes.plot([], [], color="none", label="always zero:\n" + "\n".join(zero))
     axes.set_ylabel("cost of the chosen plan")
     _step_axis(axes, summary)
     _goal_strip(axes, summary, colours)
-    legend_beside(axes)
+    look.legend_beside(axes)
     return figure
 
 
@@ -187,7 +175,7 @@ def _log_scale(axes: Axes, values: FloatArray) -> None:
         axes.set_yscale("log")
     else:
         axes.set_yscale("symlog", linthresh=float(positive.min()) / _LINEAR_BELOW, linscale=0.4)
-        axes.axhline(0.0, color=MUTED, linewidth=0.8)
+        axes.axhline(0.0, color=look.MUTED, linewidth=0.8)
 
 
 def _step_axis(axes: Axes, summary: RunSummary) -> None:
@@ -198,8 +186,8 @@ def _step_axis(axes: Axes, summary: RunSummary) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=24, min_n_ticks=1))
     moving = [row for row in summary.steps if row.percent is not None and row.percent < 100.0]
     if moving and len(moving) < len(summary.steps):
-        axes.axvline(moving[-1].step + 0.5, color=MUTED, linewidth=1.0, linestyle=":")
-        label_above(axes, moving[-1].step + 0.5, "human at rest", MUTED)
+        axes.axvline(moving[-1].step + 0.5, color=look.MUTED, linewidth=1.0, linestyle=":")
+        look.label_above(axes, moving[-1].step + 0.5, "human at rest", look.MUTED)
 
 
 def _goal_strip(axes: Axes, summary: RunSummary, colours: Mapping[str, str]) -> None:
@@ -211,4 +199,4 @@ def _goal_strip(axes: Axes, summary: RunSummary, colours: Mapping[str, str]) -> 
         steps = [row.step for row in stretch]
         axes.axvspan(steps[0] - 0.5, steps[-1] + 0.5, 1.0, 1.03, color=colour, linewidth=0, clip_on=False)
         if not instead:
-            label_above(axes, steps[0] - 0.5, f"{goal} chosen", colour)
+            look.label_above(axes, steps[0] - 0.5, f"{goal} chosen", colour)

@@ -9,19 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.viewing import figures as look
 from humanpred_ros.viewing.analysis import Analysis
-from humanpred_ros.viewing.figures import (
-    ALARM,
-    CAUTION,
-    INK,
-    MUTED,
-    SERIES,
-    empty_figure,
-    label_above,
-    new_figure,
-    new_panel,
-    note,
-)
 from humanpred_ros.viewing.recorded import LatencyFigures
 
 _MAX_BINS = 40
@@ -42,24 +31,24 @@ def clearance_plot(analysis: Analysis) -> Figure:
     """
     clearance, closest = analysis.clearance, analysis.summary.closest
     if closest is None:
-        return empty_figure("the distance is not known")
-    figure, axes = new_panel(2.9)
+        return look.empty_figure("the distance is not known")
+    figure, axes = look.new_panel(2.9)
     distance_cm = 100.0 * clearance.distance_m
-    axes.plot(clearance.t_s, distance_cm, color=INK)
-    axes.plot([closest.t_s], [100.0 * closest.distance_m], marker="o", color=INK, markersize=6)
+    axes.plot(clearance.t_s, distance_cm, color=look.INK)
+    axes.plot([closest.t_s], [100.0 * closest.distance_m], marker="o", color=look.INK, markersize=6)
     on_left = closest.t_s < 0.6 * analysis.run.duration_s
     axes.annotate(
         f"{100.0 * closest.distance_m:.1f} cm at {closest.t_s:.2f} s\n{closest.robot_link} – {closest.human_body}",
         (closest.t_s, 100.0 * closest.distance_m), xytext=(14 if on_left else -14, 12), textcoords="offset points",
         ha="left" if on_left else "right", va="bottom", fontsize=8.5,
-        arrowprops={"arrowstyle": "-", "color": MUTED, "linewidth": 0.8},
+        arrowprops={"arrowstyle": "-", "color": look.MUTED, "linewidth": 0.8},
         bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5},
     )  # fmt: skip
     low, high = min(0.0, float(distance_cm.min()) * 1.1), float(distance_cm.max())
     axes.set_ylim(low, high + 0.08 * (high - low) if high > low else low + 1.0)
     if low < 0.0:
-        axes.axhspan(low, 0.0, color=ALARM, alpha=0.12, linewidth=0)
-        axes.axhline(0.0, color=ALARM, linewidth=1.0)
+        axes.axhspan(low, 0.0, color=look.ALARM, alpha=0.12, linewidth=0)
+        axes.axhline(0.0, color=look.ALARM, linewidth=1.0)
     axes.set_ylabel("robot to human in cm")
     mark_events(axes, analysis)
     return figure
@@ -72,11 +61,11 @@ def occupancy_plot(analysis: Analysis) -> Figure:
     """
     track = analysis.run.occupancy
     if not len(track):
-        return empty_figure("no occupancy was recorded")
-    figure, axes = new_panel(2.7)
-    axes.fill_between(track.t_s, track.expected_voxels, color=SERIES[0], alpha=0.18, linewidth=0)
-    axes.plot(track.t_s, track.expected_voxels, color=SERIES[0], label="expected occupied (sum of probabilities)")
-    axes.plot(track.t_s, track.n_voxels, color=MUTED, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
+        return look.empty_figure("no occupancy was recorded")
+    figure, axes = look.new_panel(2.7)
+    axes.fill_between(track.t_s, track.expected_voxels, color=look.SERIES[0], alpha=0.18, linewidth=0)
+    axes.plot(track.t_s, track.expected_voxels, color=look.SERIES[0], label="expected occupied (sum of probabilities)")
+    axes.plot(track.t_s, track.n_voxels, color=look.MUTED, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
     axes.set_ylim(0.0, max(1.0, 1.08 * float(track.n_voxels.max())))
     axes.set_ylabel("voxels")
     mark_events(axes, analysis)
@@ -96,14 +85,14 @@ def joints_plot(analysis: Analysis) -> Figure:
     track, arm = analysis.run.robot, analysis.workcell.arm
     shown = (track.t_s >= 0.0) & (track.t_s <= analysis.run.duration_s)
     if shown.sum() < 2:
-        return empty_figure("the arm was not recorded during the run")
+        return look.empty_figure("the arm was not recorded during the run")
     n_joints = len(track.names)
-    figure = new_figure(_JOINT_ROW_IN * n_joints + 0.6)
+    figure = look.new_figure(_JOINT_ROW_IN * n_joints + 0.6)
     axes = figure.subplots(n_joints, 2, sharex=True, squeeze=False)
     for j, name in enumerate(track.names):
         left, right = axes[j]
-        left.plot(track.t_s[shown], track.q[shown, j], color=SERIES[0], linewidth=1.4)
-        right.plot(track.t_s[shown], track.v[shown, j], color=SERIES[1], linewidth=1.2)
+        left.plot(track.t_s[shown], track.q[shown, j], color=look.SERIES[0], linewidth=1.4)
+        right.plot(track.t_s[shown], track.v[shown, j], color=look.SERIES[1], linewidth=1.2)
         short = name.removeprefix("r_").removesuffix("_joint").replace("_", " ")
         left.set_ylabel(short, rotation=0, ha="right", va="center")
         fastest = np.inf if arm is None else float(arm.chain.velocity_limit[j])
@@ -126,8 +115,8 @@ def latency_plot(analysis: Analysis) -> Figure:
     """
     run = analysis.run
     if not len(run.postures) and not run.steps:
-        return empty_figure("there is nothing to measure delays on")
-    figure, panels = new_figure(2.7), (*run.latencies, run.planning)
+        return look.empty_figure("there is nothing to measure delays on")
+    figure, panels = look.new_figure(2.7), (*run.latencies, run.planning)
     for axes, latency in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
         axes.set_title(latency.name, pad=18)
         _histogram(axes, 1e3 * latency.delay_s, latency.figures)
@@ -136,15 +125,15 @@ def latency_plot(analysis: Analysis) -> Figure:
 
 def _histogram(axes: Axes, delay_ms: FloatArray, figures: LatencyFigures) -> None:
     if figures.median_ms is None or figures.p99_ms is None:
-        note(axes, "no samples")
+        look.note(axes, "no samples")
         return
     bins = int(np.clip(round(2.0 * np.sqrt(len(delay_ms))), 5, _MAX_BINS))
-    axes.hist(delay_ms, bins=bins, color=SERIES[4], edgecolor="white", linewidth=0.4)
-    axes.axvline(figures.median_ms, color=INK, linewidth=1.2)
-    axes.axvline(figures.p99_ms, color=INK, linewidth=1.2, linestyle=(0, (4, 2)))
+    axes.hist(delay_ms, bins=bins, color=look.SERIES[4], edgecolor="white", linewidth=0.4)
+    axes.axvline(figures.median_ms, color=look.INK, linewidth=1.2)
+    axes.axvline(figures.p99_ms, color=look.INK, linewidth=1.2, linestyle=(0, (4, 2)))
     axes.annotate(
         f"median {figures.median_ms:.1f} ms, 99 % below {figures.p99_ms:.1f} ms, n = {figures.count}", (0.0, 1.0),
-        xytext=(0, 5), xycoords="axes fraction", textcoords="offset points", fontsize=8, color=MUTED,
+        xytext=(0, 5), xycoords="axes fraction", textcoords="offset points", fontsize=8, color=look.MUTED,
     )  # fmt: skip
     if delay_ms.min() < 0.7 * delay_ms.max():  # far from zero, the shape says more than the distance to it
         axes.set_xlim(left=min(0.0, float(delay_ms.min())))
@@ -159,7 +148,7 @@ def _limit_lines(axes: Axes, limits: tuple[float, ...], values: FloatArray) -> N
     room = max(0.1, 0.35 * (high - low))
     for limit in limits:
         if np.isfinite(limit) and low - room <= limit <= high + room:
-            axes.axhline(limit, color=ALARM, linewidth=1.0, linestyle=(0, (4, 2)))
+            axes.axhline(limit, color=look.ALARM, linewidth=1.0, linestyle=(0, (4, 2)))
             low, high = min(low, limit), max(high, limit)
     margin = max(0.12 * (high - low), (_LEAST_SPAN - (high - low)) / 2.0)
     axes.set_ylim(low - margin, high + margin)
@@ -176,14 +165,17 @@ def mark_events(axes: Axes, analysis: Analysis, *, labels: bool = True, xlabel: 
         axes.set_xlabel("time since the first posture in s")
     events: list[tuple[float, str, str, Any]] = []
     if 0.0 < run.motion_duration_s < run.duration_s:
-        events.append((run.motion_duration_s, "human at rest", MUTED, ":"))
+        events.append((run.motion_duration_s, "human at rest", look.MUTED, ":"))
     for switch in summary.switches:
         t_s = switch.t_s if switch.t_effect_s is None else switch.t_effect_s
-        events.append((t_s, f"arm turns to {switch.goal_after}", colours.get(switch.goal_after, INK), "-"))
+        events.append((t_s, f"arm turns to {switch.goal_after}", colours.get(switch.goal_after, look.INK), "-"))
     if summary.reached is not None:
         goal = summary.reached.goal
-        events.append((summary.reached.t_s, f"arm at {goal}", colours.get(goal, INK), (0, (4, 2))))
-    for parts, text, colour in ((summary.holds, "hold", ALARM), (summary.evasions, "arm moves aside", CAUTION)):
+        events.append((summary.reached.t_s, f"arm at {goal}", colours.get(goal, look.INK), (0, (4, 2))))
+    for parts, text, colour in (
+        (summary.holds, "hold", look.ALARM),
+        (summary.evasions, "arm moves aside", look.CAUTION),
+    ):
         for part in parts:
             # A single one must be seen, too.
             until_s = max(part.until_s, part.t_s + 0.004 * run.duration_s)
@@ -198,4 +190,4 @@ def mark_events(axes: Axes, analysis: Analysis, *, labels: bool = True, xlabel: 
         level = level + 1 if share < right_end else 0
         right_end = share + _LABEL_SHARE
         align = "left" if share < 0.85 else "right"
-        label_above(axes, t_s, text, colour, align=align, y=1.01 + level * _LINE_HEIGHT)
+        look.label_above(axes, t_s, text, colour, align=align, y=1.01 + level * _LINE_HEIGHT)

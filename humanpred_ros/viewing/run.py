@@ -20,19 +20,7 @@ from humanpred_ros.errors import BagError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
-from humanpred_ros.viewing.recorded import (
-    JointTrack,
-    Latency,
-    OccupancySnapshot,
-    OccupancyTrack,
-    PosteriorTrack,
-    RecordedDecision,
-    cloud_of,
-    decision_of,
-    grid_of,
-    positions_of,
-    trajectory_of,
-)
+from humanpred_ros.viewing import recorded
 
 #: Names of a run's latencies; the wall-clock times of sending are compared.
 POSTURE_TO_OCCUPANCY = "posture to occupancy"
@@ -59,19 +47,19 @@ class Run:
     recorded_ns: int  #: wall time of the first message in ns since the epoch, 0 without messages
     wall_s: float  #: wall time from the first to the last message
     motion_duration_s: float  #: length of the human's motion, 0 if unknown
-    postures: JointTrack
-    posterior: PosteriorTrack
-    occupancy: OccupancyTrack
-    decisions: tuple[RecordedDecision, ...]
-    robot: JointTrack
-    trajectories: tuple[JointTrack, ...]  #: as sent to the arm's controller
-    latencies: tuple[Latency, ...]
+    postures: recorded.JointTrack
+    posterior: recorded.PosteriorTrack
+    occupancy: recorded.OccupancyTrack
+    decisions: tuple[recorded.RecordedDecision, ...]
+    robot: recorded.JointTrack
+    trajectories: tuple[recorded.JointTrack, ...]  #: as sent to the arm's controller
+    latencies: tuple[recorded.Latency, ...]
     topics: tuple[TopicInfo, ...]  #: of the bag, with their message counts, by name
     human_urdf: str = ""  #: of the tracked body, empty if it was not recorded
     notes: tuple[str, ...] = ()  #: what was left out when reading, and why
 
     @property
-    def steps(self) -> tuple[RecordedDecision, ...]:
+    def steps(self) -> tuple[recorded.RecordedDecision, ...]:
         """The decisions that are replanning steps, also those in vain, in time order."""
         return tuple(decision for decision in self.decisions if decision.is_step)
 
@@ -81,11 +69,11 @@ class Run:
         return tuple(dict.fromkeys(goal.name for step in self.steps for goal in step.goals))
 
     @property
-    def planning(self) -> Latency:
+    def planning(self) -> recorded.Latency:
         """Wall time of each replanning step, as far as it is told."""
         told = [(step.t_s, step.compute_s) for step in self.steps if np.isfinite(step.compute_s)]
         table = np.array(told, dtype=np.float64).reshape(-1, 2)
-        return Latency("planning one step", table[:, 0], table[:, 1])
+        return recorded.Latency("planning one step", table[:, 0], table[:, 1])
 
     @property
     def seen_percent(self) -> float | None:
@@ -123,7 +111,7 @@ def read_run(folder: str | Path) -> Run:
     firsts = [entries[0].stamp_ns for entries in (human, occupied.entries, decided) if entries]
     origin_ns = firsts[0] if firsts else (robot[-1].stamp_ns if robot else 0)
     first_occupancy_s = _seconds(occupied.entries[0].stamp_ns if occupied.entries else origin_ns, origin_ns)
-    decisions = [decision_of(e.message, _seconds(e.stamp_ns, origin_ns), first_occupancy_s) for e in decided]
+    decisions = [recorded.decision_of(e.message, _seconds(e.stamp_ns, origin_ns), first_occupancy_s) for e in decided]
     grid = _text(bag, topics.VOXEL_GRID)
     lasts = [entries[-1].stamp_ns for entries in (human, occupied.entries, decided, robot) if entries]
     return Run(
@@ -136,10 +124,10 @@ def read_run(folder: str | Path) -> Run:
         motion_duration_s=motion_duration_s,
         postures=postures,
         posterior=_posterior(goals, origin_ns),
-        occupancy=occupied.track(grid_of(grid) if grid else None, origin_ns),
+        occupancy=occupied.track(recorded.grid_of(grid) if grid else None, origin_ns),
         decisions=_numbered(decisions, notes),
         robot=_robot(robot, origin_ns),
-        trajectories=tuple(trajectory_of(e.message, origin_ns) for e in sent),
+        trajectories=tuple(recorded.trajectory_of(e.message, origin_ns) for e in sent),
         latencies=(
             _delays(POSTURE_TO_OCCUPANCY, human, {entry.stamp_ns: entry for entry in occupied.entries}, origin_ns),
             _delays(POSTURE_TO_TRAJECTORY, human, trajectories_by_stamp(sent, decided), origin_ns),
@@ -197,16 +185,16 @@ def _times(entries: Iterable[Entry], origin_ns: int) -> FloatArray:
     return np.array([_seconds(entry.stamp_ns, origin_ns) for entry in entries], dtype=np.float64)
 
 
-def _joints(entries: list[Entry], names: tuple[str, ...], origin_ns: int) -> JointTrack:
+def _joints(entries: list[Entry], names: tuple[str, ...], origin_ns: int) -> recorded.JointTrack:
     """Return the named joints of joint states; those that lack one, or a finite position of it, are left out."""
-    rows = [(entry, *row) for entry in entries if (row := positions_of(entry.message, names)) is not None]
+    rows = [(entry, *row) for entry in entries if (row := recorded.positions_of(entry.message, names)) is not None]
     q, v = (np.array([row[k] for row in rows], dtype=np.float64).reshape(len(rows), len(names)) for k in (1, 2))
-    return JointTrack(_times((row[0] for row in rows), origin_ns), q, v, names)
+    return recorded.JointTrack(_times((row[0] for row in rows), origin_ns), q, v, names)
 
 
-def _postures(entries: list[Entry], notes: list[str]) -> JointTrack:
+def _postures(entries: list[Entry], notes: list[str]) -> recorded.JointTrack:
     if not entries:
-        return JointTrack(np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)))
+        return recorded.JointTrack(np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)))
     first = entries[0]  # a run begins with its first posture
     track = _joints(entries, tuple(first.message.name), first.stamp_ns)
     if len(track) < len(entries):
@@ -214,7 +202,7 @@ def _postures(entries: list[Entry], notes: list[str]) -> JointTrack:
     return replace(track, frame_id=str(first.message.header.frame_id))
 
 
-def _robot(entries: list[Entry], origin_ns: int) -> JointTrack:
+def _robot(entries: list[Entry], origin_ns: int) -> recorded.JointTrack:
     track = _joints(entries, RIGHT_ARM_JOINTS, origin_ns)  # on a real robot others publish states of other joints
     q = track.q.copy()
     for j, name in enumerate(RIGHT_ARM_JOINTS):
@@ -224,7 +212,7 @@ def _robot(entries: list[Entry], origin_ns: int) -> JointTrack:
     return replace(track, q=q, v=np.where(np.isfinite(track.v), track.v, differences))
 
 
-def _motion_duration_s(facts: Mapping[str, str], postures: JointTrack) -> float:
+def _motion_duration_s(facts: Mapping[str, str], postures: recorded.JointTrack) -> float:
     try:
         told = float(facts.get("duration_s", ""))
     except ValueError:
@@ -253,7 +241,7 @@ class _Occupancies:
         self.clouds: dict[int, tuple[FloatArray, ...]] = {}
         n_past = 0
         for entry in _stamped(bag, topics.OCCUPANCY, messages.POINT_CLOUD2, notes):
-            stamp, cloud = entry.stamp_ns, cloud_of(entry.message, "probability")
+            stamp, cloud = entry.stamp_ns, recorded.cloud_of(entry.message, "probability")
             self.entries.append(entry._replace(message=(len(cloud[1]), float(cloud[1].sum()))))
             if (n_due := bisect_right(due_ns, stamp)) > n_past:  # the first one at or after every due time
                 self.sampled.add(stamp)
@@ -261,23 +249,23 @@ class _Occupancies:
             if stamp in self.planned or stamp in self.sampled:
                 self.clouds[stamp] = cloud
 
-    def track(self, grid: VoxelGrid | None, origin_ns: int) -> OccupancyTrack:
+    def track(self, grid: VoxelGrid | None, origin_ns: int) -> recorded.OccupancyTrack:
         """Return them on the run's time axis."""
         table = np.array([entry.message for entry in self.entries], dtype=np.float64).reshape(-1, 2)
         snapshots, samples = (
             tuple(
-                OccupancySnapshot(_seconds(stamp, origin_ns), *cloud)
+                recorded.OccupancySnapshot(_seconds(stamp, origin_ns), *cloud)
                 for stamp, cloud in self.clouds.items()
                 if stamp in which
             )
             for which in (self.planned, self.sampled)
         )
         times = _times(self.entries, origin_ns)
-        return OccupancyTrack(times, table[:, 0].astype(np.int64), table[:, 1], grid, snapshots, samples)
+        return recorded.OccupancyTrack(times, table[:, 0].astype(np.int64), table[:, 1], grid, snapshots, samples)
 
 
-def _posterior(entries: list[Entry], origin_ns: int) -> PosteriorTrack:
-    clouds = [cloud_of(entry.message, "class_id", "probability") for entry in entries]
+def _posterior(entries: list[Entry], origin_ns: int) -> recorded.PosteriorTrack:
+    clouds = [recorded.cloud_of(entry.message, "class_id", "probability") for entry in entries]
     told = [([int(label) for label in np.rint(labels)], places, p) for places, labels, p in clouds]
     # Goals may come and go; one that is not told of at a moment has no probability then.
     place = {label: goal for labels, places, _ in told for label, goal in zip(labels, places, strict=True)}
@@ -286,10 +274,10 @@ def _posterior(entries: list[Entry], origin_ns: int) -> PosteriorTrack:
     for row, (labels, _, p) in zip(probability, told, strict=True):
         row[[all_labels.index(label) for label in labels]] = p
     places = np.array([place[label] for label in all_labels]).reshape(-1, 3)
-    return PosteriorTrack(_times(entries, origin_ns), all_labels, probability, places)
+    return recorded.PosteriorTrack(_times(entries, origin_ns), all_labels, probability, places)
 
 
-def _numbered(decisions: list[RecordedDecision], notes: list[str]) -> tuple[RecordedDecision, ...]:
+def _numbered(decisions: list[recorded.RecordedDecision], notes: list[str]) -> tuple[recorded.RecordedDecision, ...]:
     """Return the decisions with step numbers that rise; a planner that was started anew counts from 1 again."""
     numbers = [decision.step for decision in decisions if decision.is_step]
     if all(number >= 1 for number in numbers) and all(np.diff(numbers) > 0):
@@ -314,7 +302,7 @@ def trajectories_by_stamp(sent: Iterable[Entry], decided: Iterable[Entry]) -> di
     return answers
 
 
-def _delays(name: str, human: list[Entry], answers: Mapping[int, Entry], origin_ns: int) -> Latency:
+def _delays(name: str, human: list[Entry], answers: Mapping[int, Entry], origin_ns: int) -> recorded.Latency:
     answered = [posture for posture in human if posture.stamp_ns in answers]
     delay_s = [(answers[posture.stamp_ns].sent_ns - posture.sent_ns) * 1e-9 for posture in answered]
-    return Latency(name, _times(answered, origin_ns), np.array(delay_s, dtype=np.float64))
+    return recorded.Latency(name, _times(answered, origin_ns), np.array(delay_s, dtype=np.float64))
