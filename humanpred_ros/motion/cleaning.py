@@ -10,9 +10,8 @@ import numpy as np
 
 from humanpred_ros.errors import LibraryFormatError
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.human.model import HumanModel
+from humanpred_ros.human.model import HumanModel, human_with
 from humanpred_ros.motion.motion import Motion, MotionLibrary, is_angle, unwrap_angles
-from humanpred_ros.settings import Settings, setting
 
 #: Reasons of flags, with the unit of their value and what they mean.
 REASONS = {
@@ -30,24 +29,19 @@ DROP_REASONS = frozenset({"wild", "goal", "label"})
 _MAD_TO_SD = 1.4826
 
 
-class CleaningConfig(Settings):
-    """What counts as wrong.
-
-    The limits of speed are own judgement: shoulder and elbow of a quick reach stay below about 10 rad/s; a person at a
-    table moves at less than 1 m/s. Six deviations are more than the customary 3.5: distances
-    scatter less regularly than a Gaussian does, and a good motion lost costs more than a fair one kept. The least noise
-    is a depth camera's of the hand; with it a library without noise has no outliers.
-    """
-
-    gap_factor: float = setting(5.0, "a time step longer than this many median steps is a gap", low=1.0)
-    joint_speed_rad_s: float = setting(30.0, "faster one-frame steps of a joint are jumps", unit="rad/s", low=0.0)
-    slide_speed_m_s: float = setting(5.0, "faster one-frame steps of a DoF in metres are jumps", unit="m/s", low=0.0)
-    isolation: float = setting(5.0, "a jump is also this many times the median step of the frames around it", low=0.0)
-    room_m: float = setting(5.0, "a pelvis this far from the library's median has left the room", unit="m", low=0.0)
-    goal_deviations: float = setting(6.0, "a goal beyond this many robust standard deviations is far", low=0.0)
-    goal_noise_m: float = setting(0.02, "the robust standard deviation is at least this", unit="m", low=0.0)
-    label_deviations: float = setting(3.5, "a far goal within this of another class's is mislabelled", low=0.0)
-    least_motions: int = setting(4, "classes with fewer motions have no usual goal", low=1)
+# What counts as wrong. The limits of speed are own judgement: shoulder and elbow of a quick reach stay below about 10
+# rad/s; a person at a table moves at less than 1 m/s. Six deviations are more than the customary 3.5: distances
+# scatter less regularly than a Gaussian does, and a good motion lost costs more than a fair one kept. The least noise
+# is a depth camera's of the hand; with it a library without noise has no outliers.
+_GAP_FACTOR = 5.0  #: a time step longer than this many median steps is a gap
+_JOINT_SPEED_RAD_S = 30.0  #: faster one-frame steps of a joint are jumps
+_SLIDE_SPEED_M_S = 5.0  #: faster one-frame steps of a DoF in metres are jumps
+_ISOLATION = 5.0  #: a jump is also this many times the median step of the frames around it
+_ROOM_M = 5.0  #: a pelvis this far from the library's median has left the room
+_GOAL_DEVIATIONS = 6.0  #: a goal beyond this many robust standard deviations is far
+_GOAL_NOISE_M = 0.02  #: the robust standard deviation is at least this
+_LABEL_DEVIATIONS = 3.5  #: a far goal within this of another class's is mislabelled
+_LEAST_MOTIONS = 4  #: classes with fewer motions have no usual goal
 
 
 @dataclass(frozen=True)
@@ -70,7 +64,6 @@ def flag_library(
     library: MotionLibrary,
     *,
     model: HumanModel | None = None,
-    config: CleaningConfig | None = None,
 ) -> tuple[Flag, ...]:
     """Return everything suspicious in a library, motion by motion; changes nothing.
 
@@ -79,24 +72,22 @@ def flag_library(
 
     Args:
         library: any.
-        model: the human whose hand is looked at; P1's 12-DoF human if None.
-        config: thresholds.
+        model: the human whose hand is looked at; the one with the library's DoFs if None.
 
     Raises:
         HumanModelError: the library's DoFs are not the model's.
     """
-    model = model or HumanModel.kinect12()
+    model = model or human_with(library.dof_names)
     model.check_dofs(library.dof_names)
-    config = config or CleaningConfig()
     flags: list[Flag] = []
     pelvis = [d for d, name in enumerate(library.dof_names) if name.startswith("PelvisTrans")]
     home = np.median(np.concatenate([motion.q[:, pelvis] for motion in library]), axis=0)
     goals = {motion.name: goal_m(motion, model) for motion in library}
-    far = {flag.motion: flag for flag in _far_goals(library, goals, config)}
+    far = {flag.motion: flag for flag in _far_goals(library, goals)}
     for motion in library:
-        flags += _gaps(motion, config)
-        flags += _steps(motion, config)
-        flags += _wild(motion, pelvis, home, config)
+        flags += _gaps(motion)
+        flags += _steps(motion)
+        flags += _wild(motion, pelvis, home)
         if motion.name in far:
             flags.append(far[motion.name])
     return tuple(flags)
@@ -107,7 +98,6 @@ def clean_library(
     *,
     drop: bool = False,
     model: HumanModel | None = None,
-    config: CleaningConfig | None = None,
 ) -> MotionLibrary:
     """Return the library with angles unwrapped and, only if asked, without motions flagged wild or off their goal.
 
@@ -123,7 +113,7 @@ def clean_library(
     done = [f"unwrapped the angles of {changed} motions"]
     if drop:
         reasons: dict[str, str] = {}
-        for flag in flag_library(library, model=model, config=config):
+        for flag in flag_library(library, model=model):
             if flag.reason in DROP_REASONS:
                 reasons.setdefault(flag.motion, flag.reason)
         if len(reasons) == len(library):
@@ -146,40 +136,40 @@ def goal_m(motion: Motion, model: HumanModel, hand: str = "right_palm") -> Float
     return farthest
 
 
-def _gaps(motion: Motion, config: CleaningConfig) -> Iterator[Flag]:
+def _gaps(motion: Motion) -> Iterator[Flag]:
     step = np.diff(motion.t_s)
-    for k in np.flatnonzero(step > config.gap_factor * np.median(step)):
+    for k in np.flatnonzero(step > _GAP_FACTOR * np.median(step)):
         yield Flag(motion.name, int(k) + 1, None, "gap", float(step[k]))
 
 
-def _steps(motion: Motion, config: CleaningConfig) -> Iterator[Flag]:
+def _steps(motion: Motion) -> Iterator[Flag]:
     """Yield wraps and jumps, frame by frame."""
     raw, step = np.diff(motion.q, axis=0), np.diff(unwrap_angles(motion).q, axis=0)
     angle = np.array([is_angle(name) for name in motion.dof_names])
     speed = np.abs(step) / np.diff(motion.t_s)[:, None]
-    fast = speed > np.where(angle, config.joint_speed_rad_s, config.slide_speed_m_s)
+    fast = speed > np.where(angle, _JOINT_SPEED_RAD_S, _SLIDE_SPEED_M_S)
     wrap = np.logical_and(angle, np.abs(raw) > np.pi)
     for k, d in np.argwhere(np.logical_or(fast, wrap)):
         frame, name = int(k) + 1, motion.dof_names[d]
         if wrap[k, d]:
             yield Flag(motion.name, frame, name, "wrap", float(abs(raw[k, d])))
         around = np.abs(step[max(0, k - 5) : k + 6, d])  # 11 steps, some 0.2 s of a depth camera's stream
-        if fast[k, d] and abs(step[k, d]) > config.isolation * np.median(around):
+        if fast[k, d] and abs(step[k, d]) > _ISOLATION * np.median(around):
             yield Flag(motion.name, frame, name, "jump", float(speed[k, d]))
 
 
-def _wild(motion: Motion, pelvis: list[int], home: FloatArray, config: CleaningConfig) -> Iterator[Flag]:
+def _wild(motion: Motion, pelvis: list[int], home: FloatArray) -> Iterator[Flag]:
     away = motion.q[:, pelvis] - home
     distance = np.linalg.norm(away, axis=1)
-    if distance.max() > config.room_m:
-        frame = int(np.argmax(distance > config.room_m))
+    if distance.max() > _ROOM_M:
+        frame = int(np.argmax(distance > _ROOM_M))
         dof = motion.dof_names[pelvis[int(np.argmax(np.abs(away[frame])))]]
         yield Flag(motion.name, frame, dof, "wild", float(distance.max()))
 
 
-def _far_goals(library: MotionLibrary, goals: dict[str, FloatArray], config: CleaningConfig) -> Iterator[Flag]:
+def _far_goals(library: MotionLibrary, goals: dict[str, FloatArray]) -> Iterator[Flag]:
     counts = Counter(motion.label for motion in library)
-    judged = [label for label in library.labels if counts[label] >= config.least_motions]
+    judged = [label for label in library.labels if counts[label] >= _LEAST_MOTIONS]
     if not judged:
         return
     centre = {label: np.median([goals[m.name] for m in library.of_class(label)], axis=0) for label in judged}
@@ -190,13 +180,13 @@ def _far_goals(library: MotionLibrary, goals: dict[str, FloatArray], config: Cle
     # The spread is taken over all classes together: one class alone has too few motions for it.
     own = np.array([distance[m.name][m.label] for m in library if m.label in centre])
     median = float(np.median(own))
-    deviation = max(_MAD_TO_SD * float(np.median(np.abs(own - median))), config.goal_noise_m)
+    deviation = max(_MAD_TO_SD * float(np.median(np.abs(own - median))), _GOAL_NOISE_M)
     for motion in library:
         if motion.label not in centre:
             continue
         value = distance[motion.name][motion.label]
-        if value <= median + config.goal_deviations * deviation:
+        if value <= median + _GOAL_DEVIATIONS * deviation:
             continue
         nearest = min(judged, key=lambda label: distance[motion.name][label])
-        there = distance[motion.name][nearest] <= median + config.label_deviations * deviation
+        there = distance[motion.name][nearest] <= median + _LABEL_DEVIATIONS * deviation
         yield Flag(motion.name, None, None, "label" if there and nearest != motion.label else "goal", value)

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from humanpred_ros.errors import LibraryFormatError, UsageError
 from humanpred_ros.human.marker_set import MarkerConfig
-from humanpred_ros.human.model import HumanModel, human_with
+from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.cleaning import clean_library, flag_library
 from humanpred_ros.motion.library_io import DEFAULT_FRAME_PERIOD_S, load_library
@@ -81,14 +81,14 @@ def import_libraries(settings: ImportSettings, console: Console) -> int:
 
 
 def _write(source: str, library: MotionLibrary, settings: ImportSettings, console: Console) -> None:
-    flags = flag_library(library, model=human_with(library.dof_names))
+    flags = flag_library(library)
     for reason, count in Counter(flag.reason for flag in flags).items():
         console.print(f"{source}: {count} flagged {reason}", markup=False, highlight=False)
     if settings.show_flags:
         for flag in flags:
             console.print(f"  {flag}", markup=False, highlight=False)
     if settings.clean or settings.drop:
-        library = clean_library(library, drop=settings.drop, model=human_with(library.dof_names))
+        library = clean_library(library, drop=settings.drop)
     folder = settings.out / require_plain_name(source, library.name)
     bag = write_library_bag(library, folder, overwrite=settings.overwrite)
     console.print(f"{source} -> {bag}: {len(library)} motions", markup=False, highlight=False, soft_wrap=True)

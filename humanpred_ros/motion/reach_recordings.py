@@ -19,7 +19,6 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.csv_files import read_table
 from humanpred_ros.motion.motion import Motion, is_angle, unwrap_angles
-from humanpred_ros.settings import Settings, setting
 
 ACTIVE, PASSIVE = "active", "passive"
 #: Title of the column of stamps.
@@ -42,21 +41,16 @@ _LEAST_WAY_M = 0.05
 _BACK_SHARE = 0.25
 
 
-class ReachRecordingConfig(Settings):
-    """What is refused and what is marked in a recording of two people.
-
-    Frames at 100 Hz differ by three times the synchrony. The limits of jumps are own judgement: P2's reaches stay below
-    2.1 m/s, its jumps begin at 3.6 m/s, and its people stay below 29 rad/s. Angles can jump though no link does: a hand
-    turned about itself, or three angles that flip to others of the same posture. The jerk's difference spans 7
-    frames (docs/papers.md, P2 features).
-    """
-
-    synchrony_s: float = setting(0.003, "stamps of the two people may differ by so much", unit="s", low=0.0)
-    gap_factor: float = setting(3.0, "a longer step of time than this many medians is noted as a gap", low=1.0)
-    jump_speed_m_s: float = setting(3.0, "faster steps of elbow, wrist or palm are jumps", unit="m/s", low=0.0)
-    jump_speed_rad_s: float = setting(50.0, "faster steps of an angle are jumps", unit="rad/s", low=0.0)
-    jump_isolation: float = setting(3.0, "a jump is also this many times the median speed around it", low=0.0)
-    least_frames: int = setting(7, "a shorter motion is not learned from", low=2)
+# What is refused and what is marked in a recording of two people. Frames at 100 Hz differ by three times the
+# synchrony. The limits of jumps are own judgement: P2's reaches stay below 2.1 m/s, its jumps begin at 3.6 m/s, and
+# its people stay below 29 rad/s. Angles can jump though no link does: a hand turned about itself, or three angles
+# that flip to others of the same posture. The jerk's difference spans 7 frames (docs/papers.md, P2 features).
+_SYNCHRONY_S = 0.003  #: stamps of the two people may differ by so much
+_GAP_FACTOR = 3.0  #: a longer step of time than this many medians is noted as a gap
+_JUMP_SPEED_M_S = 3.0  #: faster steps of elbow, wrist or palm are jumps
+_JUMP_SPEED_RAD_S = 50.0  #: faster steps of an angle are jumps
+_JUMP_ISOLATION = 3.0  #: a jump is also this many times the median speed around it
+LEAST_FRAMES = 7  #: a shorter motion is not learned from
 
 
 @dataclass(frozen=True)
@@ -83,7 +77,6 @@ class ReachRecording:
     passive: Motion  #: the partner
     jumps: tuple[Jump, ...] = ()  #: marked steps of both, by frame
     notes: tuple[str, ...] = ()  #: sentences about what was mended or looks doubtful
-    least_frames: int = 7  #: a shorter one is not learned from
 
     def __post_init__(self) -> None:
         if len(self.active) != len(self.passive) or self.active.dof_names != self.passive.dof_names:
@@ -98,23 +91,20 @@ class ReachRecording:
 
         Jumps of the partner do not count: learning sees the partner at the reach's first frame only.
         """
-        if len(self.active) < self.least_frames:
-            return f"{self.name}: {len(self.active)} frames, the jerk's difference needs {self.least_frames}"
+        if len(self.active) < LEAST_FRAMES:
+            return f"{self.name}: {len(self.active)} frames, the jerk's difference needs {LEAST_FRAMES}"
         if mine := [jump for jump in self.jumps if jump.role == ACTIVE]:
             more = f", {len(mine) - 1} more" if len(mine) > 1 else ""
             return f"{self.name}: the reaching person's {mine[0]}{more}"
         return None
 
 
-def load_reach_recordings(
-    folder: str | Path, model: HumanModel | None = None, config: ReachRecordingConfig | None = None
-) -> tuple[ReachRecording, ...]:
+def load_reach_recordings(folder: str | Path, model: HumanModel | None = None) -> tuple[ReachRecording, ...]:
     """Return the recordings of a folder by name; other files are not looked at.
 
     Args:
         folder: holds `<name>_active.csv` and `<name>_passive.csv`.
         model: the human whose DoFs are the columns; P2's 23-DoF human if None.
-        config: thresholds.
 
     Raises:
         LibraryFormatError: no recordings, a file without its counterpart, or one that cannot be used, by name.
@@ -138,16 +128,12 @@ def load_reach_recordings(
         )
     model = model or HumanModel.mocap23()
     return tuple(
-        read_reach_recording(name, files[ACTIVE][name], files[PASSIVE][name], model, config)
-        for name in sorted(files[ACTIVE])
+        read_reach_recording(name, files[ACTIVE][name], files[PASSIVE][name], model) for name in sorted(files[ACTIVE])
     )
 
 
-def read_reach_recording(
-    name: str, active: Path, passive: Path, model: HumanModel, config: ReachRecordingConfig | None = None
-) -> ReachRecording:
+def read_reach_recording(name: str, active: Path, passive: Path, model: HumanModel) -> ReachRecording:
     """Return one recording; errors as `load_reach_recordings` has them."""
-    config = config or ReachRecordingConfig()
     stamps: dict[str, FloatArray] = {}
     raw: dict[str, Motion] = {}
     for role, path in ((ACTIVE, active), (PASSIVE, passive)):
@@ -158,12 +144,12 @@ def read_reach_recording(
             f"{len(raw[PASSIVE])} {PASSIVE}; cut both to the frames they share"
         )
     apart = np.abs(stamps[ACTIVE] - stamps[PASSIVE])
-    allowed = config.synchrony_s + 1e-9  # stamps are rounded
+    allowed = _SYNCHRONY_S + 1e-9  # stamps are rounded
     if apart.max() > allowed:
         k = int(np.argmax(apart > allowed))
         raise MotionError(
             f"recording {name}: wanted both people at the same times, at frame {k} they are {1e3 * apart[k]:.1f} ms "
-            f"apart ({1e3 * config.synchrony_s:.1f} ms are allowed); resample one of them to the other's stamps"
+            f"apart ({1e3 * _SYNCHRONY_S:.1f} ms are allowed); resample one of them to the other's stamps"
         )
     motions: dict[str, Motion] = {}
     notes: list[str] = []
@@ -173,8 +159,8 @@ def read_reach_recording(
         motion = replace(raw[role], t_s=raw[ACTIVE].t_s)
         smooth = unwrap_angles(motion)
         motions[role], turned = _first_turn(smooth)
-        notes += [f"{role}: {text}" for text in (*_wraps(motion, smooth), *turned, *_gaps(motion, config))]
-        jumps += find_jumps(motions[role], role, model, config)
+        notes += [f"{role}: {text}" for text in (*_wraps(motion, smooth), *turned, *_gaps(motion))]
+        jumps += find_jumps(motions[role], role, model)
     notes += [f"{jump.role}: {jump}" for jump in jumps]
     if np.array_equal(motions[ACTIVE].q, motions[PASSIVE].q):
         raise MotionError(
@@ -182,7 +168,7 @@ def read_reach_recording(
             "replace it"
         )
     notes += doubts(motions[ACTIVE], motions[PASSIVE], model)
-    return ReachRecording(name, motions[ACTIVE], motions[PASSIVE], tuple(jumps), tuple(notes), config.least_frames)
+    return ReachRecording(name, motions[ACTIVE], motions[PASSIVE], tuple(jumps), tuple(notes))
 
 
 def write_reach_recording(folder: Path, name: str, active: Motion, passive: Motion) -> tuple[Path, Path]:
@@ -195,22 +181,19 @@ def write_reach_recording(folder: Path, name: str, active: Motion, passive: Moti
     return files
 
 
-def find_jumps(
-    motion: Motion, role: str, model: HumanModel, config: ReachRecordingConfig | None = None
-) -> tuple[Jump, ...]:
+def find_jumps(motion: Motion, role: str, model: HumanModel) -> tuple[Jump, ...]:
     """Return the isolated steps that are faster than a person, at most one for each frame.
 
     Those of elbow, wrist or palm come first; where none of them jumps, an angle may.
     """
-    config = config or ReachRecordingConfig()
     places = model.forward(motion.q)
     path = np.stack([places[link] for link in WATCHED_LINKS], axis=1)
     step_s = np.diff(motion.t_s)[:, None]
-    found = _isolated(np.linalg.norm(np.diff(path, axis=0), axis=-1) / step_s, config.jump_speed_m_s, config)
+    found = _isolated(np.linalg.norm(np.diff(path, axis=0), axis=-1) / step_s, _JUMP_SPEED_M_S)
     jumps = {k + 1: Jump(role, k + 1, WATCHED_LINKS[which], speed) for k, which, speed in found}
     angles = [d for d, name in enumerate(motion.dof_names) if is_angle(name)]
     turning = np.abs(np.diff(motion.q[:, angles], axis=0)) / step_s
-    for k, which, speed in _isolated(turning, config.jump_speed_rad_s, config):
+    for k, which, speed in _isolated(turning, _JUMP_SPEED_RAD_S):
         jumps.setdefault(k + 1, Jump(role, k + 1, motion.dof_names[angles[which]], speed, "rad/s"))
     return tuple(jumps[frame] for frame in sorted(jumps))
 
@@ -233,12 +216,12 @@ def _read_person(where: str, path: Path, dof_names: tuple[str, ...]) -> tuple[Fl
         ) from trouble
 
 
-def _isolated(speed: FloatArray, limit: float, config: ReachRecordingConfig) -> list[tuple[int, int, float]]:
+def _isolated(speed: FloatArray, limit: float) -> list[tuple[int, int, float]]:
     """Return steps, columns and speeds where a column of speeds (T - 1, C) jumps; the fastest of each step."""
     found = []
     for k in np.flatnonzero((speed > limit).any(axis=1)):
         around = np.median(speed[max(0, k - 5) : k + 6], axis=0)
-        isolated = np.logical_and(speed[k] > limit, speed[k] > config.jump_isolation * around)
+        isolated = np.logical_and(speed[k] > limit, speed[k] > _JUMP_ISOLATION * around)
         if isolated.any():
             fastest = int(np.argmax(np.where(isolated, speed[k], 0.0)))
             found.append((int(k), fastest, float(speed[k, fastest])))
@@ -265,9 +248,9 @@ def _wraps(before: Motion, after: Motion) -> list[str]:
     ]
 
 
-def _gaps(motion: Motion, config: ReachRecordingConfig) -> list[str]:
+def _gaps(motion: Motion) -> list[str]:
     step = np.diff(motion.t_s)
-    late = np.flatnonzero(step > config.gap_factor * np.median(step))
+    late = np.flatnonzero(step > _GAP_FACTOR * np.median(step))
     return [f"{1e3 * step[k]:.0f} ms without a frame before frame {int(k) + 1}" for k in late]
 
 

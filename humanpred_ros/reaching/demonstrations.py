@@ -21,7 +21,7 @@ from scipy.linalg.lapack import dtbtrs
 from humanpred_ros.errors import MotionError
 from humanpred_ros.geometry.checks import FloatArray, frozen
 from humanpred_ros.motion.motion import Motion
-from humanpred_ros.motion.reach_recordings import ACTIVE, ReachRecording
+from humanpred_ros.motion.reach_recordings import ACTIVE, LEAST_FRAMES, ReachRecording
 from humanpred_ros.reaching.collisions import SampleCollisions
 from humanpred_ros.reaching.features import PADDING, REACH, RULES, ReachFeatures, ReachSituation
 from humanpred_ros.settings import Settings, setting
@@ -107,7 +107,7 @@ def demonstrations(
     found = []
     for recording in recordings:
         for frame in (0, *(cut_frames(recording.active) if cut else ())):
-            if len(recording.active) - frame < recording.least_frames:
+            if len(recording.active) - frame < LEAST_FRAMES:
                 continue
             demo = demonstration(recording, features, frame)
             if keep_unfit or _has_no_jump(recording, demo):
