@@ -27,7 +27,6 @@ from numpy.typing import ArrayLike, NDArray
 from humanpred_ros.errors import HumanModelError
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.settings import Settings, setting
 
 #: Each skeleton point, in the order trackers deliver them, and the model's link whose origin it is.
 LINK_OF_POINT = MappingProxyType(
@@ -47,17 +46,12 @@ KINECT12_DOFS = (
 )  # fmt: skip
 
 
-class KinectConfig(Settings):
-    """What still counts as a person.
-
-    P1's libraries hold rArmTrans from -0.06 to 0.22 m without the marked outliers. Of an elbow bent by 0.05 rad, a hand
-    seen 2 cm off turns the upper arm's roll by about 90 degrees.
-    """
-
-    bone_ratio: tuple[float, float] = setting((0.5, 1.6), "plausible bones, as shares of the model's", low=0.0)
-    arm_trans_m: tuple[float, float] = setting((-0.1, 0.25), "plausible rArmTrans", unit="m")
-    straight_elbow_rad: float = setting(0.05, "straighter elbows do not show the arm's roll", unit="rad", low=0.0)
-    aligned_arm_rad: float = setting(0.02, "arms closer to the torso's x axis hide rShoulderX", unit="rad", low=0.0)
+# What still counts as a person. P1's libraries hold rArmTrans from -0.06 to 0.22 m without the marked outliers. Of an
+# elbow bent by 0.05 rad, a hand seen 2 cm off turns the upper arm's roll by about 90 degrees.
+_BONE_RATIO = (0.5, 1.6)  #: plausible bones, as shares of the model's
+_ARM_TRANS_M = (-0.1, 0.25)  #: plausible rArmTrans
+_STRAIGHT_ELBOW_RAD = 0.05  #: straighter elbows do not show the arm's roll
+_ALIGNED_ARM_RAD = 0.02  #: arms closer to the torso's x axis hide rShoulderX
 
 
 class KinectPostures:
@@ -119,15 +113,13 @@ class KinectSkeleton:
 
     Args:
         model: a model with the 12 DoFs and the links of `LINK_OF_POINT`; P1's if left out.
-        config: what counts as a person.
 
     Raises:
         HumanModelError: another set of DoFs, or links that are lacking.
     """
 
-    def __init__(self, model: HumanModel | None = None, config: KinectConfig | None = None) -> None:
+    def __init__(self, model: HumanModel | None = None) -> None:
         self.model = model or HumanModel.kinect12()
-        self.config = config or KinectConfig()
         self.model.check_dofs(KINECT12_DOFS)
         lacking = sorted(set(LINK_OF_POINT.values()) - set(self.model.link_names))
         if lacking:
@@ -212,7 +204,7 @@ class KinectSkeleton:
         self, seen: Mapping[str, FloatArray], R_torso: FloatArray, torso: FloatArray, found: KinectPostures
     ) -> None:
         """Find the right arm's DoFs from the model's shoulder, the elbow and the direction to the hand."""
-        config, (ux, uy, uz) = self.config, self._upper_arm_m
+        ux, uy, uz = self._upper_arm_m
         e = rotate_back(R_torso, seen["right_elbow"] - torso) - self._right_shoulder_m
         h = rotate_back(R_torso, seen["right_hand"] - seen["right_elbow"])
         # The elbow slides along the upper arm's -y; its offsets along x and z stay.
@@ -230,11 +222,11 @@ class KinectSkeleton:
         }
         hand = {"rShoulderY": sY, "rElbowZ": bend}
         found.doubt(straight, ("rShoulderY",), "the elbow is straight, which leaves the upper arm's roll open")
-        aligned = np.hypot(e[:, 1], e[:, 2]) < config.aligned_arm_rad * np.linalg.norm(e, axis=1)
+        aligned = np.hypot(e[:, 1], e[:, 2]) < _ALIGNED_ARM_RAD * np.linalg.norm(e, axis=1)
         found.doubt(aligned, ("rShoulderX", "rShoulderY"), "the upper arm lies along the torso's x axis")
         found.put(arm, _only(seen, "right_elbow"), after=("TorsoZ",))
         found.put(hand, _only(seen, "right_elbow", "right_hand"), after=("TorsoZ",))
-        low, high = config.arm_trans_m
+        low, high = _ARM_TRANS_M
         wrong = (arm["rArmTrans"] < low) | (arm["rArmTrans"] > high)
         found.doubt(wrong, (*arm, *hand), f"rArmTrans is {{:.3f}} m, plausible are {low} to {high} m", arm["rArmTrans"])
         self._check_bone(found, "from right elbow to hand", h, self._forearm_m, tuple(hand))
@@ -248,13 +240,13 @@ class KinectSkeleton:
         cosine = (e * h).sum(axis=1) / np.linalg.norm(e, axis=1) / np.linalg.norm(h, axis=1)
         wanted = cosine * np.linalg.norm(upper, axis=1) * np.linalg.norm(self._forearm_m) - upper[:, 2] * fz
         opening = np.arccos(np.clip(wanted / np.hypot(A, B), -1.0, 1.0))
-        return np.arctan2(B, A) + opening, opening < self.config.straight_elbow_rad
+        return np.arctan2(B, A) + opening, opening < _STRAIGHT_ELBOW_RAD
 
     def _check_bone(
         self, found: KinectPostures, bone: str, measured: FloatArray, model: FloatArray, dofs: tuple[str, ...]
     ) -> None:
         length = np.linalg.norm(measured, axis=1)
-        low, high = (ratio * float(np.linalg.norm(model)) for ratio in self.config.bone_ratio)
+        low, high = (ratio * float(np.linalg.norm(model)) for ratio in _BONE_RATIO)
         reason = f"{{:.3f}} m {bone}, plausible are {low:.3f} to {high:.3f} m"
         found.doubt((length < low) | (length > high), dofs, reason, length)
 

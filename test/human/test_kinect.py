@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from paths import shared_data
 
 from humanpred_ros.errors import ArrayError, HumanModelError
-from humanpred_ros.human.kinect import KINECT12_DOFS, KinectConfig, KinectSkeleton
+from humanpred_ros.human.kinect import KINECT12_DOFS, KinectSkeleton
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import SKELETON_POINTS
 
@@ -254,14 +254,6 @@ def test_sequences_and_single_frames_agree() -> None:
         np.testing.assert_array_equal(frame, alone[0])
         assert reasons == alone[1]
     np.testing.assert_allclose(skeleton.points(q[0]), points[0], atol=1e-12)
-
-
-def test_what_is_believable_can_be_configured() -> None:
-    q = a_posture()
-    q[DOF["rArmTrans"]] = 0.2
-    narrow = KinectSkeleton(skeleton.model, KinectConfig(arm_trans_m=(0.0, 0.15)))
-    assert set(posture(skeleton.points(q), narrow)[1]) == ARM
-    assert not posture(skeleton.points(q))[1]
 
 
 @pytest.mark.parametrize("bad", [np.zeros((2, 14, 3)), np.zeros((2, 15, 2)), np.zeros((15, 3)), "points"])
