@@ -45,7 +45,6 @@ from humanpred_ros.evaluation.leave_one_out import (
 from humanpred_ros.evaluation.occupancy_report import Moment, report_of
 from humanpred_ros.evaluation.occupancy_scores import (
     LOG_CLIP,
-    MISSED_BELOW,
     P1_RESOLUTION_M,
     Played,
     grid_around,
@@ -70,6 +69,7 @@ from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.recognition.training import REACHING_LINK
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.settings import setting, setting_of
+from humanpred_ros.viewing.reliability import MISSED_BELOW
 
 #: How much of the motion drawn was seen, or the nearest to it of the percents.
 PICTURE_PERCENT = 40

@@ -22,6 +22,8 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import MotionLibrary, pelvis_columns
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.recognition.training import REACHING_LINK
+from humanpred_ros.viewing.reliability import BIN_EDGES as PREDICTED_EDGES
+from humanpred_ros.viewing.reliability import MISSED_BELOW
 
 BoolArray = NDArray[np.bool_]
 
@@ -32,11 +34,9 @@ P1_RESOLUTION_M = 0.05
 _OUTER_PERCENT = (1.0, 99.0)
 #: Probabilities are taken to be within these for the log score, which a single sure mistake would make infinite.
 LOG_CLIP = (0.001, 0.999)
-#: A swept voxel given less than this was missed.
-MISSED_BELOW = 0.01
 #: Edges of the calibration table: ten bins, the first of which is split at what counts as missed. An edge belongs to
 #: the bin above, 1 to the last one.
-BIN_EDGES = (0.0, MISSED_BELOW, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+BIN_EDGES = (0.0, *PREDICTED_EDGES)
 
 
 def grid_around(library: MotionLibrary, human: HumanModel, resolution_m: float = P1_RESOLUTION_M) -> VoxelGrid:

@@ -31,10 +31,10 @@ from humanpred_ros.evaluation.leave_one_out import (
 )
 from humanpred_ros.evaluation.outputs import library_facts
 from humanpred_ros.evaluation.parallel import map_processes
-from humanpred_ros.evaluation.published import advice_beside, read_reference, reference_beside
 from humanpred_ros.evaluation.recognition_report import recognition_plot, recognition_tables
 from humanpred_ros.evaluation.recognition_scores import (
     BoolArray,
+    advice_beside,
     brier_score,
     calibration,
     confusion,
@@ -43,6 +43,8 @@ from humanpred_ros.evaluation.recognition_scores import (
     log_loss,
     percent_indices,
     quartiles,
+    read_reference,
+    reference_beside,
     unknown_score,
     worst_drop,
 )

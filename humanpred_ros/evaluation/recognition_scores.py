@@ -1,22 +1,30 @@
 """How good a classifier is, as numbers: pure functions of posteriors (N motions, P percents, C classes).
 
-Several of them return their figures by name, as they stand in the JSON file of `humanpred evaluate recognition`.
+Several of them return their figures by name, as they stand in the JSON file of `humanpred evaluate recognition`. Also
+here: what lies beside a library, the published curve and advice on single recordings.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
+from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.motion.csv_files import read_rows, read_table
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
+#: Where the papers' data folder keeps the published curve and the advice, relative to a library in it.
+REFERENCE_BESIDE_LIBRARY = Path("reference") / "authors_fig6_curve.csv"
+ADVICE_BESIDE_LIBRARY = "outliers.csv"
+_ADVICE_COLUMNS = ("set", "class", "traj_id", "advice")
 #: Percents of a motion at which the posterior is looked at.
 PERCENTS = np.arange(1, 101)
 N_BINS = 10
@@ -205,4 +213,57 @@ def unknown_score(by_class: Mapping[int, FloatArray], known: FloatArray) -> dict
             label: float((scores[:, 59] >= REFUSAL_THRESHOLD).mean()) for label, scores in by_class.items()
         },
         "quartiles": quartiles(unknown),
+    }
+
+
+def read_reference(path: str | Path) -> dict[str, Any]:
+    """Return the curve of a CSV file with the columns phase_percent (1 to 100) and recognition_rate (0 to 1).
+
+    Returns:
+        `source`, the name of the file; `rate`, (100,) the share of motions recognised at each percent; `figures` of
+        the curve (`curve_figures`).
+
+    Raises:
+        LibraryFormatError: no such file, or no table of these columns.
+        UsageError: other percents, or rates that are none.
+    """
+    table = read_table(Path(path), ("phase_percent", "recognition_rate"))
+    rate = table["recognition_rate"]
+    if table["phase_percent"].tolist() != PERCENTS.tolist() or not ((rate >= 0) & (rate <= 1)).all():
+        raise UsageError(
+            f"{path}: wanted the percents 1 to 100 in order, each with a rate of 0 to 1, got {len(rate)} rows; "
+            "complete it or give another file"
+        )
+    return {"source": table.path.name, "rate": rate, "figures": curve_figures(rate)}
+
+
+def reference_beside(library: Path) -> dict[str, Any] | None:
+    """Return the published curve that lies beside a library, None if there is none."""
+    path = library.resolve().parent / REFERENCE_BESIDE_LIBRARY
+    return read_reference(path) if path.exists() else None
+
+
+def advice_beside(library: Path, name: str) -> dict[str, str]:
+    """Return the advice on single motions (`class/index`) of the library called `name` that lies beside it.
+
+    The file has the columns set, class, traj_id and advice, of which the first word counts (exclude, suspect,
+    keep). Empty if there is no file.
+
+    Raises:
+        LibraryFormatError: a file that cannot be read as CSV.
+        UsageError: a file with other columns.
+    """
+    path = library.resolve().parent / ADVICE_BESIDE_LIBRARY
+    if not path.exists():
+        return {}
+    (_, head), *lines = read_rows(path)
+    missing = [column for column in _ADVICE_COLUMNS if column not in head]
+    if missing:
+        raise UsageError(
+            f"{path}: wanted the columns {', '.join(_ADVICE_COLUMNS)}, {', '.join(missing)} is missing; "
+            "give a file that has them"
+        )
+    rows = [dict(zip(head, fields, strict=False)) for _, fields in lines]
+    return {
+        f"{row['class']}/{row['traj_id']}": row.get("advice", "").split(" ")[0] for row in rows if row["set"] == name
     }

@@ -26,9 +26,8 @@ from humanpred_ros.evaluation.framework import (
 from humanpred_ros.evaluation.leave_one_out import UpdateLog, answers
 from humanpred_ros.evaluation.outputs import library_facts
 from humanpred_ros.evaluation.parallel import map_processes
-from humanpred_ros.evaluation.published import advice_beside
 from humanpred_ros.evaluation.recognition import ClassifierChoice, evaluated_names, given_known
-from humanpred_ros.evaluation.recognition_scores import decided_right
+from humanpred_ros.evaluation.recognition_scores import advice_beside, decided_right
 from humanpred_ros.evaluation.standing import standing_noise
 from humanpred_ros.evaluation.stream_composed import Placed, Stream, StreamBuilder, returns_home, standing_stream
 from humanpred_ros.evaluation.stream_report import stream_plot, stream_tables
@@ -37,8 +36,8 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel, human_with
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER
-from humanpred_ros.recognition import stream
 from humanpred_ros.recognition.onset import BodyPoints, MotionState, OnsetDetector, OnsetSettings
+from humanpred_ros.recognition.stream import StreamClassifier
 from humanpred_ros.settings import setting
 
 #: Advice (in the file beside a library) that says a motion is mistracked, or may be.
@@ -155,7 +154,7 @@ class StreamRuns:
 
     def _states(self, shown: Stream, log: UpdateLog) -> list[MotionState]:
         """Return what a detector says after each posture."""
-        detector, points, states = OnsetDetector(OnsetSettings()), BodyPoints(self.human), []
+        detector, points, states = OnsetDetector(), BodyPoints(self.human), []
         for q, t_s in zip(shown.q, shown.t_s.tolist(), strict=True):
             begun = time.perf_counter_ns()
             states.append(detector.update(points(q), t_s))
@@ -171,10 +170,7 @@ class StreamRuns:
             of each update.
         """
         rest = self.library.select(lambda motion: motion.index != index)
-        wrapped = stream.StreamClassifier(
-            ClassifierChoice(self.settings.classifier).make(self.human), stream.StreamSettings(onset=OnsetSettings())
-        )
-        classifier = wrapped.fit(rest)
+        classifier = StreamClassifier(ClassifierChoice(self.settings.classifier).make(self.human)).fit(rest)
         made, _ = self.streams(index, VARIANTS[0])
         log = UpdateLog()
         known = np.array([given_known(said, rest.labels) for said in answers(classifier, made.q, made.t_s, log)])

@@ -16,8 +16,8 @@ from small_library import small_library
 
 from humanpred_ros.errors import HumanPredError, LibraryFormatError
 from humanpred_ros.evaluation.framework import present
-from humanpred_ros.evaluation.published import advice_beside, read_reference, reference_beside
 from humanpred_ros.evaluation.recognition import RecognitionSettings, measure
+from humanpred_ros.evaluation.recognition_scores import advice_beside, read_reference, reference_beside
 from humanpred_ros.motion.bag_library import write_library_bag
 
 CURVE = "phase_percent,recognition_rate\n" + "".join(f"{p},{p / 100}\n" for p in range(1, 101))
