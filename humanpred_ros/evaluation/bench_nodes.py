@@ -147,11 +147,13 @@ def wait_until_resting(group: NodeGroup) -> None:
         UsageError: a node that failed.
     """
     before: dict[str, float] = {}
+    quiet = 0
     for _ in range(round(_REST_LIMIT_S / _RESTING_S)):
         group.check()
         used = {node.name: usage.cpu_s for node in group.nodes if (usage := node.usage()) is not None}
-        started = all(cpu_s > 0.0 for cpu_s in used.values())
-        if not used or (before and started and all(used[n] - before[n] < _RESTING_SHARE * _RESTING_S for n in used)):
+        resting = before and all(0.0 < used[name] < before[name] + _RESTING_SHARE * _RESTING_S for name in used)
+        quiet = quiet + 1 if resting else 0
+        if not used or quiet == 2:  # once may be a busy machine that let them wait
             return
         before = used
         time.sleep(_RESTING_S)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter, NullLocator, ScalarFormatter
+from matplotlib.ticker import NullFormatter, NullLocator, ScalarFormatter, StrMethodFormatter
 
 from humanpred_ros.viewing.figures import DASHES, MARKERS, SERIES, new_figure
 
@@ -109,7 +109,7 @@ def growth_plot(points: Iterable[tuple[str, int, str, float]], unit: str) -> Fig
         axes.set_xscale("log")
         axes.set_yscale("log")
         axes.set_xticks(sorted({size for line in lines.values() for size, _ in line}))
-        axes.xaxis.set_major_formatter(ScalarFormatter())
+        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:.0f}"))
         axes.xaxis.set_minor_locator(NullLocator())
         axes.yaxis.set_major_formatter(ScalarFormatter())
         axes.yaxis.set_minor_formatter(NullFormatter())
