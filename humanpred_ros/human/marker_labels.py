@@ -22,8 +22,14 @@ from scipy.optimize import linear_sum_assignment
 
 from humanpred_ros.errors import MotionError
 from humanpred_ros.geometry.checks import FloatArray, checked
-from humanpred_ros.human.marker_set import MarkerConfig, MarkerSet, is_spread, misfit_m, pairwise_m, place, seen_in
+from humanpred_ros.human.marker_set import MarkerSet, is_spread, misfit_m, pairwise_m, place, seen_in
 
+# What counts as the same marker. A hand that accelerates by 100 m/s² is 0.01 m off after 0.01 s, a marker next to it
+# 0.04 m away.
+FARTHEST_M = 0.04  #: most between a detection and its marker's expected place
+SEARCH_M_S = 2.0  #: how fast this distance grows for a hidden segment
+SEARCH_M = 0.25  #: the most it grows to, for all markers of a segment together
+MISFIT_M = 0.01  #: how far labelled markers may be from their segment's shape
 #: Segments that are upright whenever a person stands or sits, and how far (m) a shoulder is from the torso's centre.
 UPRIGHT = ("waist", "torso")
 SHOULDER_REACH_M = 0.45
@@ -193,7 +199,6 @@ def label_markers(
     t_s: ArrayLike,
     start_m: ArrayLike,
     shapes: Mapping[str, FloatArray] | None = None,
-    config: MarkerConfig | None = None,
 ) -> FloatArray:
     """Return labelled markers (T, M, 3), NaN where hidden, of T frames of detections (P, 3) in any order.
 
@@ -203,7 +208,6 @@ def label_markers(
         t_s: (T,) their stamps, rising.
         start_m: (M, 3) where the markers are in the first frame (`find_start`, or a labelled frame), NaN where hidden.
         shapes: each segment's shape (see `find_start`); the first frames' if left out.
-        config: what counts as the same marker.
 
     Raises:
         ArrayError: another shape.
@@ -213,7 +217,7 @@ def label_markers(
     if not len(stamps) or (np.diff(stamps) <= 0.0).any():
         raise MotionError(f"marker labels: wanted at least one frame and rising stamps, got {len(stamps)} frames")
     start = checked("start_m", start_m, (len(markers.names), 3), finite=False)
-    labeller = _Labeller(markers, start, shapes, config or MarkerConfig())
+    labeller = _Labeller(markers, start, shapes)
     frames = [checked("detections_m", frame, ("P", 3), finite=False) for frame in detections_m]
     labelled = [labeller.update(seen[seen_in(seen)], float(t)) for seen, t in zip(frames, stamps, strict=True)]
     return np.stack(labelled)
@@ -227,9 +231,8 @@ class _Labeller:
         markers: MarkerSet,
         start: FloatArray,
         shapes: Mapping[str, FloatArray] | None,
-        config: MarkerConfig,
     ) -> None:
-        self.markers, self.config = markers, config
+        self.markers = markers
         self._shapes = {**markers.shapes, **(shapes or {})}
         self._places = self._completed(start)
         self._learn = shapes is None
@@ -244,7 +247,7 @@ class _Labeller:
         """Return the labelled markers (M, 3), NaN where hidden, of finite detections (P, 3) at time `t_s`."""
         self._t_s = t_s
         expected = self._places + self._step
-        number = _match(expected, seen, self.config.farthest_m)
+        number = _match(expected, seen)
         labelled = np.full_like(expected, np.nan)
         labelled[number >= 0] = seen[number[number >= 0]]
         for segment, own in self.markers.of_segment.items():
@@ -271,9 +274,9 @@ class _Labeller:
         here = seen_in(labelled)
         shape = self._shapes[segment][here]
         if is_spread(shape):
-            return bool(misfit_m(shape, labelled[None, here]).max() <= self.config.misfit_m)
+            return bool(misfit_m(shape, labelled[None, here]).max() <= MISFIT_M)
         longer = pairwise_m(labelled[None, here]) - pairwise_m(shape[None])
-        return bool((np.abs(longer) <= 2 * self.config.misfit_m).all())
+        return bool((np.abs(longer) <= 2 * MISFIT_M).all())
 
     def _search(
         self,
@@ -288,18 +291,18 @@ class _Labeller:
         Also where three markers have been found: a wrong three may fit by chance, the right four fit better.
         """
         own = self.markers.of_segment[segment]
-        search_m, hidden_s = self.config.search_m, self._t_s - self._sighted_s[segment]
-        near = np.linalg.norm(seen[:, None] - expected[None], axis=2).min(axis=1) <= search_m
+        hidden_s = self._t_s - self._sighted_s[segment]
+        near = np.linalg.norm(seen[:, None] - expected[None], axis=2).min(axis=1) <= SEARCH_M
         near[np.setdiff1d(number[number >= 0], number[own])] = False
         candidates, count = np.flatnonzero(near), int((number[own] >= 0).sum())
         if len(candidates) <= count:
             return
         # All markers in their shape are accepted anywhere; three of them may be false detections.
-        reach_m = min(self.config.farthest_m + self.config.search_m_s * hidden_s, search_m)
-        shape, upright, limit_m = self._shapes[segment], segment in UPRIGHT, self.config.misfit_m
-        match = match_shape(shape, seen[candidates], limit_m, upright, expected, search_m, len(own))
+        reach_m = min(FARTHEST_M + SEARCH_M_S * hidden_s, SEARCH_M)
+        shape, upright = self._shapes[segment], segment in UPRIGHT
+        match = match_shape(shape, seen[candidates], MISFIT_M, upright, expected, SEARCH_M, len(own))
         if match is None:
-            match = match_shape(shape, seen[candidates], limit_m, upright, expected, reach_m)
+            match = match_shape(shape, seen[candidates], MISFIT_M, upright, expected, reach_m)
         if match is not None and match.count > count:
             found = match.detection >= 0
             number[own], labelled[own] = -1, np.nan
@@ -349,13 +352,13 @@ class _Labeller:
         return places
 
 
-def _match(expected: FloatArray, seen: FloatArray, farthest_m: float) -> NDArray[np.int64]:
+def _match(expected: FloatArray, seen: FloatArray) -> NDArray[np.int64]:
     """Return the number of the detection (M,) of each expected marker, -1 if none is near enough."""
     off = np.linalg.norm(expected[:, None] - seen[None], axis=2)
     # Detections beyond the limit all cost the same, so that they do not pull the other matches away.
-    rows, columns = linear_sum_assignment(np.minimum(off, farthest_m + 1e-9) ** 2)
+    rows, columns = linear_sum_assignment(np.minimum(off, FARTHEST_M + 1e-9) ** 2)
     number = np.full(len(expected), -1, dtype=np.int64)
-    near = off[rows, columns] <= farthest_m
+    near = off[rows, columns] <= FARTHEST_M
     number[rows[near]] = columns[near]
     return number
 

@@ -24,7 +24,6 @@ from humanpred_ros.errors import HumanModelError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.chain_points import ChainPoints
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.settings import Settings, setting
 
 #: The segments, from the root outwards, and the link of the model each moves with.
 LINK_OF_SEGMENT = MappingProxyType(
@@ -33,23 +32,6 @@ LINK_OF_SEGMENT = MappingProxyType(
         "upper_arm": "right_elbow", "forearm": "right_wrist", "hand": "right_hand",
     }
 )  # fmt: skip
-
-
-class MarkerConfig(Settings):
-    """How markers are labelled and hidden ones filled.
-
-    A bridge over 0.1 s bends a reach by about 5 mm. Skin moves markers by 0.01 to 0.02 m. A hand that accelerates by
-    100 m/s² is 0.01 m off after 0.01 s, a marker next to it 0.04 m away.
-    """
-
-    longest_gap_s: float = setting(0.1, "gaps up to this long are interpolated in time", unit="s", low=0.0)
-    misplaced_m: float = setting(0.03, "markers this far off their segment's shape count as hidden", unit="m", low=0.0)
-    fit: bool = setting(True, "take a seen segment's markers from its shape placed on them, which averages noise")
-    upright_pelvis: bool = setting(False, "take PelvisRotX and PelvisRotY as 0, as P2's recordings do")
-    farthest_m: float = setting(0.04, "most between a detection and its marker's expected place", unit="m", low=0.0)
-    search_m_s: float = setting(2.0, "how fast this distance grows for a hidden segment", unit="m/s", low=0.0)
-    search_m: float = setting(0.25, "the most it grows to, for all markers of a segment together", unit="m", low=0.0)
-    misfit_m: float = setting(0.01, "how far labelled markers may be from their segment's shape", unit="m", low=0.0)
 
 
 @dataclass(frozen=True)

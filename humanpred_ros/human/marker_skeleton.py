@@ -20,7 +20,6 @@ from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.human.marker_set import (
     ANATOMICAL,
     LINK_OF_SEGMENT,
-    MarkerConfig,
     MarkerSet,
     groups_of,
     is_spread,
@@ -44,6 +43,10 @@ MOCAP23_DOFS = (
 PLAUSIBLE_RATIO = (0.4, 2.5)
 #: How far (m) a person's markers may sit from the marker set's places before an exchange of two labels is suspected.
 PLAUSIBLE_PLACE_M = 0.04
+#: Gaps up to this long are interpolated in time: a bridge over 0.1 s bends a reach by about 5 mm.
+LONGEST_GAP_S = 0.1
+#: Markers this far off their segment's shape count as hidden; skin moves them by 0.01 to 0.02 m.
+MISPLACED_M = 0.03
 #: A polynomial of this degree over this many seen frames on either side bridges a gap in time: smoother than a line
 #: where a hand accelerates, and not led astray by the noise of single frames.
 BRIDGE_DEGREE, BRIDGE_FRAMES = 3, 6
@@ -86,33 +89,34 @@ def fill_markers(
     points_m: FloatArray,
     t_s: FloatArray,
     shapes: Mapping[str, FloatArray],
-    config: MarkerConfig | None = None,
+    longest_gap_s: float = LONGEST_GAP_S,
 ) -> FilledMarkers:
-    """Return markers (T, M, 3) with hidden ones filled as far as `config` allows.
+    """Return markers (T, M, 3) with hidden ones filled.
+
+    A seen segment's markers are taken from its shape placed on them, which averages noise.
 
     Args:
         markers: what the columns are.
         points_m: labelled markers, NaN where hidden.
         t_s: (T,) stamps, rising.
         shapes: each segment's shape, as `measure_shapes` returns them; the others are only interpolated.
-        config: what is filled.
+        longest_gap_s: gaps up to this long are interpolated in time.
 
     Raises:
         MotionError: exchanging two markers' labels would make a segment keep its shape: the labels are swapped.
     """
-    config = config or MarkerConfig()
     points = points_m.copy()
     hidden = ~seen_in(points)
     points[hidden] = np.nan
     misplaced = np.zeros_like(hidden)
     for segment, shape in shapes.items():
         if segment != "shoulder":
-            _restore(markers, segment, shape, points, misplaced, config)
+            _restore(markers, segment, shape, points, misplaced)
     if "shoulder" in shapes:
         _restore_shoulder(markers, shapes, points)
     known = seen_in(points)
     for column in range(points.shape[1]):
-        _bridge(points[:, column], t_s, config.longest_gap_s)
+        _bridge(points[:, column], t_s, longest_gap_s)
     interpolated = seen_in(points) & ~known
     return FilledMarkers(points, (hidden | misplaced) & known, interpolated, misplaced)
 
@@ -123,7 +127,6 @@ def _restore(
     shape: FloatArray,
     points: FloatArray,
     misplaced: NDArray[np.bool_],
-    config: MarkerConfig,
 ) -> None:
     """Put a rigid segment's hidden and misplaced markers where the others place them; in place."""
     columns = markers.of_segment[segment]
@@ -131,17 +134,16 @@ def _restore(
     seen = seen_in(own)
     for row, frames in groups_of(seen):
         if is_spread(shape[row]):
-            off = misfit_m(shape[row], own[np.ix_(frames, row)]).max(axis=1) > config.misplaced_m / 2
+            off = misfit_m(shape[row], own[np.ix_(frames, row)]).max(axis=1) > MISPLACED_M / 2
             for t in frames[off]:
-                seen[t] = _plausible(markers, segment, shape, own[t], row, int(t), config.misplaced_m)
+                seen[t] = _plausible(markers, segment, shape, own[t], row, int(t), MISPLACED_M)
     misplaced[:, columns] = seen_in(own) & ~seen
     own[~seen] = np.nan
     for row, frames in groups_of(seen):
         if is_spread(shape[row]):
             R, p = place(shape[row], own[np.ix_(frames, row)])
             placed = np.einsum("tij,kj->tki", R, shape) + p[:, None]
-            replaced = np.ones_like(row) if config.fit else ~row
-            own[np.ix_(frames, replaced)] = placed[:, replaced]
+            own[frames] = placed
     points[:, columns] = own
 
 
@@ -272,7 +274,7 @@ class MarkerPostures:
         where = "; ".join(said) or f"joint centres that coincide in frame {int(np.argmin(self.complete))}"
         raise MotionError(
             f"{name}: wanted markers that determine all 23 DoFs in all {len(self.q)} frames, lost: {where}; cut the "
-            "recording there or allow longer gaps (MarkerConfig.longest_gap_s)"
+            "recording there or allow longer gaps (--longest-gap)"
         )
 
 
@@ -282,7 +284,8 @@ class MarkerSkeleton:
     Args:
         model: the 23-DoF human; P2's if left out.
         markers: what the person wears; `UPPER_BODY` if left out.
-        config: what is filled.
+        longest_gap_s: gaps up to this long are interpolated in time.
+        upright_pelvis: take PelvisRotX and PelvisRotY as 0, as P2's recordings do.
         shapes: each segment's shape (see `calibrated`); measured on every recording if left out.
 
     Raises:
@@ -293,12 +296,13 @@ class MarkerSkeleton:
         self,
         model: HumanModel | None = None,
         markers: MarkerSet | None = None,
-        config: MarkerConfig | None = None,
+        longest_gap_s: float = LONGEST_GAP_S,
+        upright_pelvis: bool = False,
         shapes: Mapping[str, FloatArray] | None = None,
     ) -> None:
         self.model = model or HumanModel.mocap23()
         self.markers = markers or MarkerSet()
-        self.config = config or MarkerConfig()
+        self.longest_gap_s, self.upright_pelvis = longest_gap_s, upright_pelvis
         self.shapes = shapes
         self.model.check_dofs(MOCAP23_DOFS)
         lacking = sorted(set(LINK_OF_SEGMENT.values()) - set(self.model.link_names))
@@ -325,7 +329,7 @@ class MarkerSkeleton:
                     f"marker calibration: wanted one frame with all markers of the {segment} "
                     f"({self.markers.labels(segment)}), got none; record a trial in which they are seen"
                 )
-        return MarkerSkeleton(self.model, self.markers, self.config, shapes)
+        return MarkerSkeleton(self.model, self.markers, self.longest_gap_s, self.upright_pelvis, shapes)
 
     def postures(self, points_m: ArrayLike, t_s: ArrayLike) -> MarkerPostures:
         """Return the postures of labelled markers (T, M, 3), in metres and the tracker's frame, z up.
@@ -346,7 +350,7 @@ class MarkerSkeleton:
             raise MotionError(f"markers: wanted at least one frame and rising stamps, got {len(points)} frames")
         points = np.where(np.isfinite(points).all(axis=2, keepdims=True), points, np.nan)
         shapes = self._measured(points) if self.shapes is None else self.shapes
-        filled = fill_markers(self.markers, points, stamps, shapes, self.config)
+        filled = fill_markers(self.markers, points, stamps, shapes, self.longest_gap_s)
         anatomical = [[self.markers.index[name] for name in ANATOMICAL[segment]] for segment in LINK_OF_SEGMENT]
         lost = np.stack([~np.isfinite(filled.points_m[:, own]).all(axis=(1, 2)) for own in anatomical], axis=1)
         for segment, never in zip(LINK_OF_SEGMENT, np.asarray(lost.all(axis=0)), strict=True):
@@ -368,7 +372,7 @@ class MarkerSkeleton:
                     f"markers: waist and torso point opposite ways in frame {int(np.argmax(against))}; the labels of "
                     f"{what} are swapped at one of them: correct them"
                 )
-        return MarkerPostures(postures_of(frames, self.model, self.config.upright_pelvis), filled, lost, self.markers)
+        return MarkerPostures(postures_of(frames, self.model, self.upright_pelvis), filled, lost, self.markers)
 
     def _measured(self, points: FloatArray) -> dict[str, FloatArray]:
         """Measure the shapes and compare them with the marker set's (MotionError if the labels cannot be right)."""

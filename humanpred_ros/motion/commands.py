@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 
 from humanpred_ros.errors import LibraryFormatError, UsageError
-from humanpred_ros.human.marker_set import MarkerConfig
+from humanpred_ros.human.marker_skeleton import LONGEST_GAP_S
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.cleaning import clean_library, flag_library
@@ -45,8 +45,8 @@ class ImportSettings(Settings):
     )
     markers: Path | None = setting(None, "YAML file that names the markers: the sources are marker recordings")
     name: str | None = setting(None, "with --markers: name of the library; none: that of the YAML file")
-    longest_gap: float = setting_of(MarkerConfig, "longest_gap_s")
-    upright_pelvis: bool = setting_of(MarkerConfig, "upright_pelvis")
+    longest_gap: float = setting(LONGEST_GAP_S, "gaps up to this long are interpolated in time", unit="s", low=0.0)
+    upright_pelvis: bool = setting(False, "take PelvisRotX and PelvisRotY as 0, as P2's recordings do")
     trim: bool = setting(False, "leave out first and last frames in which the markers do not determine all DoFs")
 
 
@@ -99,9 +99,9 @@ def _import_markers(settings: ImportSettings, names_file: Path, console: Console
     name = require_plain_name(str(names_file), settings.name or names_file.stem)
     files = _marker_files(settings.source)
     _require_different({str(path): path.stem for path in files})
-    config = MarkerConfig(longest_gap_s=settings.longest_gap, upright_pelvis=settings.upright_pelvis)
     roles = names.persons or {"": names}
-    readers = {role: MarkerReader(names, person, names_file.parent, config) for role, person in roles.items()}
+    filling = settings.longest_gap, settings.upright_pelvis
+    readers = {role: MarkerReader(names, person, names_file.parent, *filling) for role, person in roles.items()}
     recordings = [read_marker_file(path, names.rate_hz) for path in files]
     if names.persons:
         return _write_two_people(settings, name, readers, recordings, console)

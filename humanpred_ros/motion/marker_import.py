@@ -34,7 +34,7 @@ import yaml
 from humanpred_ros.errors import HumanModelError, LibraryFormatError, MotionError, SettingsError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.marker_labels import find_start, label_markers
-from humanpred_ros.human.marker_set import ANATOMICAL, UPPER_BODY, Marker, MarkerConfig, MarkerSet
+from humanpred_ros.human.marker_set import ANATOMICAL, UPPER_BODY, Marker, MarkerSet
 from humanpred_ros.human.marker_skeleton import MarkerSkeleton
 from humanpred_ros.motion.marker_files import MarkerRecording, read_marker_file
 from humanpred_ros.motion.motion import Motion
@@ -133,15 +133,17 @@ class MarkerReader:
         names: of the recordings.
         person: of the person's markers; `names` itself for a person alone.
         folder: where the calibration is looked for.
-        config: how markers are labelled and filled.
+        longest_gap_s, upright_pelvis: as of `MarkerSkeleton`.
 
     Raises:
         SettingsError: names of markers that do not exist.
         LibraryFormatError, MotionError: a calibration that cannot be used.
     """
 
-    def __init__(self, names: MarkerNames, person: PersonNames, folder: Path, config: MarkerConfig) -> None:
-        self._names, self._person, self._config = names, person, config
+    def __init__(
+        self, names: MarkerNames, person: PersonNames, folder: Path, longest_gap_s: float, upright_pelvis: bool
+    ) -> None:
+        self._names, self._person, self._longest_gap_s, self._upright = names, person, longest_gap_s, upright_pelvis
         all_markers = {marker.name: marker for marker in UPPER_BODY}
         all_markers |= {name: Marker(name, extra.segment, extra.place_m) for name, extra in person.extra.items()}
         unknown = sorted(set(person.markers) - set(all_markers))
@@ -155,7 +157,7 @@ class MarkerReader:
             trial = read_marker_file(folder / person.calibration, names.rate_hz)
             worn, points = self._labelled(trial)
             try:
-                self._shapes = dict(MarkerSkeleton(markers=worn, config=config).calibrated(points).shapes or {})
+                self._shapes = dict(MarkerSkeleton(markers=worn).calibrated(points).shapes or {})
             except (MotionError, HumanModelError) as trouble:
                 raise MotionError(f"{trial.path}: {trouble}") from trouble
 
@@ -175,10 +177,10 @@ class MarkerReader:
             if self._names.labels == "shape":  # by shape in the first frame, and by closest distance from then on
                 worn, seen = MarkerSet(list(self._all.values())), self._in_metres(recording)
                 start = find_start(worn, seen[0], self._shapes)
-                points = label_markers(worn, list(seen), recording.t_s, start, self._shapes, self._config)
+                points = label_markers(worn, list(seen), recording.t_s, start, self._shapes)
             else:
                 worn, points = self._labelled(recording)
-            skeleton = MarkerSkeleton(markers=worn, config=self._config, shapes=self._shapes)
+            skeleton = MarkerSkeleton(None, worn, self._longest_gap_s, self._upright, self._shapes)
             found = skeleton.postures(points, recording.t_s)
             complete = np.flatnonzero(found.complete)
             frames = slice(0, len(points))

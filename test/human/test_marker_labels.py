@@ -9,10 +9,10 @@ from paths import shared_data
 
 from humanpred_ros.errors import ArrayError, MotionError
 from humanpred_ros.human.marker_labels import find_start, label_markers, match_shape
-from humanpred_ros.human.marker_set import UPPER_BODY, Marker, MarkerConfig, MarkerSet
+from humanpred_ros.human.marker_set import UPPER_BODY, Marker, MarkerSet
 from humanpred_ros.human.marker_skeleton import MarkerSkeleton, measure_shapes
 
-skeleton = MarkerSkeleton(config=MarkerConfig(upright_pelvis=True))
+skeleton = MarkerSkeleton(upright_pelvis=True)
 SET = skeleton.markers
 HAND = [SET.index[name] for name in ("RH2", "RH5", "RHD", "RHT")]
 STANDING = np.array([
