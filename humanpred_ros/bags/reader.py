@@ -215,7 +215,6 @@ class FileFrame:
 
     summary: Any | None = None  #: mcap's Summary (schemas, channels, statistics, indexes), None if there is none
     trouble: str = ""  #: what is wrong with the frame, empty if nothing
-    checksum: bool = False  #: whether a wrong CRC is what is wrong
 
 
 def inspect_frame(path: Path, stream: IO[bytes]) -> FileFrame:
@@ -245,7 +244,7 @@ def inspect_frame(path: Path, stream: IO[bytes]) -> FileFrame:
         return FileFrame(trouble=f"wanted a footer pointing into the file, got offset {summary_start}")
     stream.seek(data_end)
     if summary_crc and zlib.crc32(stream.read(size - _TAIL_BYTES - data_end) + footer[:-4]) != summary_crc:
-        return FileFrame(trouble="wanted a summary with its recorded checksum, got another", checksum=True)
+        return FileFrame(trouble="wanted a summary with its recorded checksum, got another")
     stream.seek(data_end - _DATA_END.size)
     opcode, length, data_crc = _DATA_END.unpack(stream.read(_DATA_END.size))
     if opcode != _DATA_END_OPCODE or length != _DATA_END.size - RECORD_HEADER.size:
@@ -256,7 +255,7 @@ def inspect_frame(path: Path, stream: IO[bytes]) -> FileFrame:
     except MCAP_TROUBLE as trouble:
         return FileFrame(trouble=f"wanted a readable summary, got {spell(trouble)}")
     if data_crc and _crc_of(stream, data_end - _DATA_END.size) != data_crc:
-        return FileFrame(summary, "wanted data with their recorded checksum, got another", checksum=True)
+        return FileFrame(summary, "wanted data with their recorded checksum, got another")
     return FileFrame(summary)
 
 

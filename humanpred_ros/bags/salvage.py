@@ -17,7 +17,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped, unused-ignore]
 import zstandard
@@ -48,15 +48,13 @@ class BagReport:
     """What is in a bag and what is wrong with it."""
 
     path: Path  #: the bag looked at
-    readable: bool  #: the ordinary reader reads it from beginning to end
-    crc_ok: bool  #: no checksum is wrong
     messages: Mapping[str, int]  #: number of intact messages per topic
     problems: tuple[str, ...]  #: in words, with file and byte; empty if all is well
 
     @property
     def ok(self) -> bool:
         """Nothing is wrong."""
-        return self.readable and self.crc_ok and not self.problems
+        return not self.problems
 
 
 def check_bag(path: str | Path) -> BagReport:
@@ -68,7 +66,7 @@ def check_bag(path: str | Path) -> BagReport:
     return _examine(Path(path), None)
 
 
-def salvage_bag(path: str | Path, out: str | Path, *, overwrite: bool = False) -> BagReport:
+def salvage_bag(path: str | Path, out: str | Path) -> BagReport:
     """Write every intact message of a bag into the fresh bag `out`; the original stays as it is.
 
     Messages keep their order, times and types; of a chunk whose checksum is wrong none can be trusted
@@ -80,7 +78,7 @@ def salvage_bag(path: str | Path, out: str | Path, *, overwrite: bool = False) -
     path, out = Path(path), Path(out)
     if out.resolve() in (path.resolve(), *path.resolve().parents):
         raise BagError(f"{out}: wanted a new folder for what is recovered, got the damaged bag itself; choose another")
-    with BagWriter(out, staged=True, overwrite=overwrite) as bag:
+    with BagWriter(out, staged=True) as bag:
         report = _examine(path, bag)
         if not report.messages:
             raise BagError(f"{path}: wanted at least one intact message, found none; the bag is lost")
@@ -89,7 +87,6 @@ def salvage_bag(path: str | Path, out: str | Path, *, overwrite: bool = False) -
 
 def _examine(path: Path, bag: BagWriter | None) -> BagReport:
     files, problems = _files(path)
-    readable, crc_ok = not problems, True
     counts: Counter[str] = Counter()
     copied: set[tuple[str, tuple[tuple[str, str], ...]]] = set()
     for file in files:
@@ -98,7 +95,6 @@ def _examine(path: Path, bag: BagWriter | None) -> BagReport:
         lost: Counter[int] = Counter()
         for record in scan_records(file):
             if isinstance(record, Damage):
-                readable, crc_ok = False, crc_ok and not record.checksum
                 problems.append(f"{file.name}, byte {record.offset}: {record.text}")
             elif isinstance(record, Schema):
                 schemas[record.id] = record
@@ -118,10 +114,9 @@ def _examine(path: Path, bag: BagWriter | None) -> BagReport:
                 if bag is not None:
                     _copy(bag, channel, schemas.get(channel.schema_id), record)
         for channel_id, count in lost.items():
-            readable = False
             problems.append(f"{file.name}: {count} messages of channel {channel_id}, whose description is lost")
     problems += _against_metadata(path, counts)
-    return BagReport(path, readable, crc_ok, dict(counts), tuple(problems))
+    return BagReport(path, dict(counts), tuple(problems))
 
 
 def _copy(bag: BagWriter, channel: Any, schema: Any, message: Any) -> None:
@@ -160,13 +155,11 @@ def _against_metadata(path: Path, counts: Mapping[str, int]) -> list[str]:
     ]
 
 
-@dataclass(frozen=True)
-class Damage:
-    """Something wrong at a byte of the file; `checksum` says that a CRC found it."""
+class Damage(NamedTuple):
+    """Something wrong at a byte of the file."""
 
     offset: int
     text: str
-    checksum: bool = False
 
 
 def scan_records(path: Path) -> Iterator[Any]:
@@ -192,7 +185,7 @@ def scan_records(path: Path) -> Iterator[Any]:
                 if statistics is not None and statistics.message_count != found:
                     yield Damage(len(data), f"wanted {statistics.message_count} messages, found {found} intact")
                 if frame.trouble:
-                    yield Damage(len(data), frame.trouble, frame.checksum)
+                    yield Damage(len(data), frame.trouble)
     except OSError as trouble:
         raise BagError(f"{path}: cannot be read ({trouble.strerror}); check that it is there") from trouble
 
@@ -227,12 +220,8 @@ def _walk(data: mmap.mmap) -> Iterator[Any]:
             position = end
         except MCAP_TROUBLE as trouble:
             what = "chunk" if opcode == Opcode.CHUNK else "record"
-            yield Damage(position, f"damaged {what} ({spell(trouble)})", isinstance(trouble, _ChecksumError))
+            yield Damage(position, f"damaged {what} ({spell(trouble)})")
             position = _next_chunk(data, sure)
-
-
-class _ChecksumError(ValueError):
-    """A chunk whose content does not have the CRC it was written with."""
 
 
 @dataclass(frozen=True)
@@ -279,7 +268,7 @@ class _Chunk:
         content = self._decompressed()
         if len(content) == self.uncompressed_size:
             if self.crc and zlib.crc32(content) != self.crc:
-                raise _ChecksumError("its checksum is wrong")
+                raise ValueError("its checksum is wrong")
         elif not (self.cut_off and self.consistent) or len(content) > self.uncompressed_size:
             raise ValueError(f"it holds {len(content)} bytes instead of {self.uncompressed_size}")
         return content

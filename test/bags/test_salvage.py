@@ -97,7 +97,6 @@ def test_a_flipped_bit_is_reported_and_costs_one_chunk_at_most(
         return
     report = check_bag(folder / "flip.mcap")
     assert not report.ok
-    assert not report.readable
     assert report.problems
     got = salvaged(bytes(damaged), folder)
     remaining = iter(messages)
@@ -126,8 +125,6 @@ def test_a_bag_without_metadata_is_rebuilt(tmp_path: Path, write_bag: Callable[.
     folder = write_bag(tmp_path / "bag")
     (folder / "metadata.yaml").unlink()
     report = check_bag(folder)
-    assert not report.readable
-    assert report.crc_ok
     assert "metadata.yaml" in report.problems[0]
     salvage_bag(folder, tmp_path / "saved")
     assert BagReader(tmp_path / "saved").message_count == 120
@@ -138,7 +135,6 @@ def test_metadata_that_counts_otherwise_is_reported(tmp_path: Path, write_bag: C
     text = (folder / "metadata.yaml").read_text().replace("message_count: 40", "message_count: 41")
     (folder / "metadata.yaml").write_text(text)
     report = check_bag(folder)
-    assert report.readable
     assert not report.ok
     assert "topic /words: wanted 41 messages as it says, found 40" in report.problems[0]
 
@@ -147,7 +143,7 @@ def test_the_original_cannot_be_the_target(tmp_path: Path, write_bag: Callable[.
     folder = write_bag(tmp_path / "bag")
     for source in (folder, folder / "bag_0.mcap"):
         with pytest.raises(BagError, match="itself"):
-            salvage_bag(source, folder, overwrite=True)
+            salvage_bag(source, folder)
     assert check_bag(folder).ok
 
 
