@@ -146,6 +146,7 @@ class HumanModel:
         postures = self._checked(q)
         from humanpred_ros.geometry.chain_kernels import link_poses  # numba, which not every node needs
 
+        postures = np.require(postures, requirements="W")  # numba compiles once more for what is read-only
         poses = link_poses(postures, self.joints, self.link_joint, self.T_joint_link)
         return poses[0] if np.ndim(q) == 1 else poses
 

@@ -216,6 +216,7 @@ class Forest:
         left = np.concatenate([tree.left for tree in trees]) + shift
         right = np.concatenate([tree.right for tree in trees]) + shift
         leaves = np.empty((len(x), len(trees)), dtype=np.int32)
+        x = np.require(x, requirements="W")  # numba compiles once more for what is read-only
         _find_leaves(x, first, feature, threshold, left, right, leaves)
         share = _leaf_shares(leaves, learned, label, len(feature), n_classes)
         return cls(first, feature, threshold, left, right, share, leaves)

@@ -73,6 +73,8 @@ class ToolPose:
 
     def nearest(self, T_world_tool: ArrayLike) -> FloatArray:
         """Return the allowed poses (..., 4, 4) nearest to other poses (..., 4, 4), part by part."""
+        from scipy.spatial.transform import Rotation  # only tool poses need it
+
         T = np.asarray(T_world_tool, dtype=np.float64)
         wanted, flat = self.T_world_tool, T.reshape(-1, 4, 4)
         result = np.zeros_like(flat)
@@ -103,6 +105,8 @@ class ToolPose:
         Returns:
             (..., 6) translation in m, then rotation vector in rad, both zero within the tolerances.
         """
+        from scipy.spatial.transform import Rotation
+
         T = np.asarray(T_world_tool, dtype=np.float64)
         nearest = self.nearest(T)
         back = np.swapaxes(T[..., :3, :3], -1, -2)

@@ -6,10 +6,10 @@ the iterations would hold the threads of other goals up. The trajectory itself s
 
 from __future__ import annotations
 
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
 
 from humanpred_ros.geometry.compiled import Array, fast, fast_inline, fast_part
 from humanpred_ros.stomp.cost_kernels import Obstacles, Occupied, obstacle_sums, occupancy_sums
@@ -17,7 +17,7 @@ from humanpred_ros.stomp.smoothness import acceleration_costs, colour, keep_with
 
 #: Normal quantiles at the middle of 65536 equal probabilities: 16 random bits make one draw. The largest is
 #: 4.2 standard deviations, and their variance is 1 to within 1e-4.
-QUANTILES = ndtri((np.arange(65536) + 0.5) / 65536.0).astype(np.float32)
+QUANTILES = np.array([NormalDist().inv_cdf((k + 0.5) / 65536.0) for k in range(65536)], dtype=np.float32)
 
 #: Entries of the counters of a plan in progress: updates done, random bits used, rollouts reused, whether the best
 #: trajectory is forbidden, and updates since it last became noticeably cheaper.

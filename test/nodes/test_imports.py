@@ -42,3 +42,16 @@ def test_a_node_that_passes_messages_on_is_light(
     assert done.returncode == 0, done.stderr
     loaded = {name.split(".")[0] for name in done.stdout.split("modules ", 1)[1].split()}
     assert not loaded & HEAVY
+
+
+@pytest.mark.parametrize(
+    ("module", "unwanted"),
+    [
+        ("stomp_planner", {"scipy.interpolate", "scipy.optimize", "scipy.spatial", "sklearn", "pinocchio"}),
+        ("occupancy_predictor", {"humanpred_ros.reaching.reaching_predictor", "scipy.linalg", "sklearn", "pinocchio"}),
+    ],
+)
+def test_a_node_that_computes_loads_what_its_defaults_need(module: str, unwanted: set[str]) -> None:
+    code = f"import sys, humanpred_ros.nodes.{module}\nprint('modules', *sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not unwanted & set(done.stdout.split("modules ", 1)[1].split())
