@@ -88,7 +88,6 @@ class ToolPose:
         twist = np.zeros((len(flat), 3))
         # With the quaternion's real part w and its part x along a: 4 w x over 2 (w^2 - x^2), the tangent of the twist.
         twist[:, a] = np.arctan2(turned[:, c, b] - turned[:, b, c], turned[:, b, b] + turned[:, c, c])
-        from scipy.spatial.transform import Rotation  # takes half a second to import; only tool poses need it
 
         tilt = Rotation.from_matrix(turned @ Rotation.from_rotvec(-twist).as_matrix()).as_rotvec()
         limit = self.orientation_tolerance_rad
@@ -110,7 +109,6 @@ class ToolPose:
         T = np.asarray(T_world_tool, dtype=np.float64)
         nearest = self.nearest(T)
         back = np.swapaxes(T[..., :3, :3], -1, -2)
-        from scipy.spatial.transform import Rotation
 
         turn = Rotation.from_matrix((nearest[..., :3, :3] @ back).reshape(-1, 3, 3)).as_rotvec()
         turn = turn.reshape(*T.shape[:-2], 3)
