@@ -17,7 +17,7 @@ from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import is_angle
 from humanpred_ros.occupancy.predictor import Prediction, Predictor, PredictorRequest
-from humanpred_ros.occupancy.voxeliser import DEFAULT_SPACING_M, BodyVoxeliser
+from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.settings import Settings, setting
 
 _TURN = 2 * np.pi
@@ -34,18 +34,11 @@ class CurrentOccupancyPredictor(Predictor):
         grid: the lattice, world frame.
     """
 
-    def __init__(
-        self,
-        human: HumanModel,
-        grid: VoxelGrid,
-        T_world_human: ArrayLike,
-        *,
-        spacing_m: float = 0.02,
-    ) -> None:
+    def __init__(self, human: HumanModel, grid: VoxelGrid, T_world_human: ArrayLike) -> None:
         """Prepare for one human, grid and placement (arguments as for `BodyVoxeliser`)."""
         self.grid = grid
         self._n_dofs = len(human.dof_names)
-        self._voxeliser = BodyVoxeliser(human, grid, T_world_human, spacing_m)
+        self._voxeliser = BodyVoxeliser(human, grid, T_world_human)
         self.start()
 
     @classmethod
@@ -131,13 +124,12 @@ class ConstantVelocityPredictor(Predictor):
         T_world_human: ArrayLike,
         *,
         settings: ConstantVelocitySettings | None = None,
-        spacing_m: float = DEFAULT_SPACING_M,
     ) -> None:
         """Prepare for one human, grid and placement (arguments as for `BodyVoxeliser`)."""
         self.grid = grid
         self.settings = settings or ConstantVelocitySettings()
         self._human = human
-        self._voxeliser = BodyVoxeliser(human, grid, T_world_human, spacing_m)
+        self._voxeliser = BodyVoxeliser(human, grid, T_world_human)
         self._is_angle = np.array([is_angle(name) for name in human.dof_names])
         endless = self._is_angle & (human.upper - human.lower >= _FULL_TURN)
         self._lower = np.where(endless, -np.inf, human.lower)

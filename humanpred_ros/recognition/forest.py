@@ -184,8 +184,7 @@ class Forest:
 
     Attributes:
         first: (B + 1,) where each tree's nodes begin; the first of them is its root.
-        feature, threshold, left, right: of all N nodes, as in `Tree`, but `left` and `right` count from the first node
-            of the forest.
+        feature, threshold, left, right: of all N nodes, as in `Tree`; `left` and `right` count from the tree's root.
         share: (N, C) share of each class among the samples that a leaf's tree has learned from.
         sample_leaves: (M, B) the leaf each sample falls into, whether its tree has learned from it or not.
     """
@@ -210,23 +209,16 @@ class Forest:
         for tree in trees:
             _check_nodes(tree)
         first = np.concatenate([[0], np.cumsum([len(tree.feature) for tree in trees])]).astype(np.int32)
-        shift = np.repeat(first[:-1], np.diff(first))
-        feature = np.concatenate([tree.feature for tree in trees])
-        threshold = np.concatenate([tree.threshold for tree in trees])
-        left = np.concatenate([tree.left for tree in trees]) + shift
-        right = np.concatenate([tree.right for tree in trees]) + shift
+        nodes = Tree(*(np.concatenate(part) for part in zip(*trees, strict=True)))
         leaves = np.empty((len(x), len(trees)), dtype=np.int32)
         x = np.require(x, requirements="W")  # numba compiles once more for what is read-only
-        _find_leaves(x, first, feature, threshold, left, right, leaves)
-        share = _leaf_shares(leaves, learned, label, len(feature), n_classes)
-        return cls(first, feature, threshold, left, right, share, leaves)
+        _find_leaves(x, first, *nodes, leaves)
+        share = _leaf_shares(leaves, learned, label, len(nodes.feature), n_classes)
+        return cls(first, *nodes, share, leaves)
 
     def tree(self, b: int) -> Tree:
         """Return one tree."""
-        begin, end = self.first[b], self.first[b + 1]
-        leaf = self.feature[begin:end] < 0
-        below = (np.where(leaf, 0, part[begin:end] - begin).astype(np.int32) for part in (self.left, self.right))
-        return Tree(self.feature[begin:end], self.threshold[begin:end], *below)
+        return Tree(*(getattr(self, name)[self.first[b] : self.first[b + 1]] for name in Tree._fields))
 
     @property
     def n_trees(self) -> int:
@@ -281,9 +273,9 @@ def _find_leaves(
     # Tree by tree, so that one tree's nodes stay in the cache while all samples pass.
     for tree in range(len(first) - 1):
         for m in range(len(x)):
-            node = first[tree]
+            node = root = first[tree]
             while feature[node] >= 0:
-                node = left[node] if x[m, feature[node]] <= threshold[node] else right[node]
+                node = root + (left[node] if x[m, feature[node]] <= threshold[node] else right[node])
             out[m, tree] = node
 
 

@@ -174,13 +174,12 @@ class ForestClassifier(Classifier):
 
     def state(self) -> dict[str, NDArray[Any]]:
         model = self._fitted()
-        trees = [model.forest.tree(b) for b in range(model.forest.n_trees)]
         return {
             "labels": np.array(model.labels, dtype=np.int64),
             "motions": np.array(model.exemplars.names),
             **{name: getattr(model.exemplars, name) for name in _EXEMPLARS},
             "n_nodes": np.diff(model.forest.first),
-            **{f"node_{name}": np.concatenate([getattr(tree, name) for tree in trees]) for name in Tree._fields},
+            **{f"node_{name}": getattr(model.forest, name) for name in Tree._fields},
             "calibration": model.calibration.parameters,
             "novelty": model.novelty.weights,
             "place_pose": model.place.pose,
