@@ -30,8 +30,13 @@ from humanpred_ros.evaluation.recognition import ClassifierChoice, evaluated_nam
 from humanpred_ros.evaluation.recognition_scores import advice_beside, decided_right
 from humanpred_ros.evaluation.standing import standing_noise
 from humanpred_ros.evaluation.stream_composed import Placed, Stream, StreamBuilder, returns_home, standing_stream
-from humanpred_ros.evaluation.stream_report import stream_plot, stream_tables
-from humanpred_ros.evaluation.stream_scores import announcements, onset_figures, score_events
+from humanpred_ros.evaluation.stream_figures import (
+    announcements,
+    onset_figures,
+    score_events,
+    stream_plot,
+    stream_tables,
+)
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel, human_with
 from humanpred_ros.motion.motion import Motion, MotionLibrary
