@@ -18,7 +18,7 @@ from humanpred_ros.viewing.figures import goal_colours
 from humanpred_ros.viewing.recorded import JointTrack, LatencyFigures, RecordedDecision
 from humanpred_ros.viewing.reliability import OccupancyCalibration, measure_calibration
 from humanpred_ros.viewing.run import WHOLE_REACH_PERCENT, Run
-from humanpred_ros.viewing.workcell import Clearance, Workcell, load_workcell, measure_clearance
+from humanpred_ros.viewing.workcell import Clearance, Closest, Workcell, load_workcell, measure_clearance
 
 #: Largest joint error at which a goal counts as reached.
 GOAL_TOLERANCE_RAD = 0.02
@@ -86,17 +86,6 @@ class Interruption:
     until_s: float
     decisions: int
     reason: str
-
-
-@dataclass(frozen=True)
-class Closest:
-    """The least distance between robot and human: negative when they penetrate."""
-
-    distance_m: float
-    t_s: float
-    percent: float | None
-    robot_link: str
-    human_body: str
 
 
 @dataclass(frozen=True)
@@ -228,7 +217,7 @@ def analyse(run: Run, workcell: Workcell | None = None) -> Analysis:
         evasions=_interruptions(run, "evade"),
         actions=dict(Counter(decision.action for decision in run.decisions)),
         missed=sum(step.missed for step in steps),
-        closest=_closest(run, clearance),
+        closest=clearance.closest,
         recognised=_recognised(run, movements),
         beliefs=tuple(_belief(run, movement) for movement in movements),
         calibration=calibration,
@@ -302,14 +291,6 @@ def _interruptions(run: Run, action: str) -> tuple[Interruption, ...]:
             open_kind = None
     close(run.duration_s)
     return tuple(found)
-
-
-def _closest(run: Run, clearance: Clearance) -> Closest | None:
-    if not len(clearance):
-        return None
-    k = clearance.closest
-    t_s, link, body = float(clearance.t_s[k]), clearance.robot_link[k], clearance.human_body[k]
-    return Closest(float(clearance.distance_m[k]), t_s, run.percent(t_s), link, body)
 
 
 def _movements(run: Run) -> tuple[slice, ...]:

@@ -189,7 +189,7 @@ def _draw_closest(axes: Axes, analysis: Analysis) -> None:
     for centre, radius in _arm_spheres(run, workcell, t_s):
         ball = Circle((centre[0], centre[1]), radius, facecolor="#cbd2d9", edgecolor="#8f9ba8", linewidth=0.7, zorder=4)
         axes.add_patch(ball)
-    place = analysis.clearance.place_m[analysis.clearance.closest]
+    place = analysis.clearance.place_m
     axes.plot(*place[:2], marker="o", markersize=13, markerfacecolor="none", markeredgecolor=ALARM, zorder=5)
 
 

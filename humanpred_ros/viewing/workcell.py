@@ -99,22 +99,27 @@ def _moved(T: FloatArray, points_m: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
+class Closest:
+    """The least distance between robot and human: negative when they penetrate."""
+
+    distance_m: float
+    t_s: float
+    percent: float | None
+    robot_link: str
+    human_body: str
+
+
+@dataclass(frozen=True)
 class Clearance:
     """Least distance between the robot's spheres and the human's body, at every posture."""
 
     t_s: FloatArray  #: (T,) times of the postures for which the arm's configuration is known
     distance_m: FloatArray  #: (T,) negative where they penetrate
-    robot_link: tuple[str, ...] = ()  #: (T,) names of the two parts that are closest
-    human_body: tuple[str, ...] = ()
-    place_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  #: (T, 3) of that link's sphere, world frame
+    closest: Closest | None = None  #: the least of all, None without any
+    place_m: FloatArray = field(default_factory=lambda: np.zeros(3))  #: centre of the robot's sphere then, world frame
 
     def __len__(self) -> int:
         return len(self.t_s)
-
-    @property
-    def closest(self) -> int:
-        """Number of the posture at which they are closest; there must be one."""
-        return int(np.argmin(self.distance_m))
 
 
 def measure_clearance(run: Run, workcell: Workcell) -> Clearance:
@@ -131,13 +136,10 @@ def measure_clearance(run: Run, workcell: Workcell) -> Clearance:
     known = np.isfinite(q_robot).all(axis=1)
     if not known.any():
         return nothing
-    arm, spheres = scene.arm, scene.arm.spheres()
+    arm, spheres, t_s = scene.arm, scene.arm.spheres(), run.postures.t_s[known]
     apart = SeparationMeter(arm, human, scene.T_world_human, run.postures.q[known]).measure(q_robot[known])
-    centres = spheres.world_m(arm.chain, q_robot[known])
-    return Clearance(
-        run.postures.t_s[known],
-        apart.distance_m,
-        tuple(arm.link_names[int(spheres.link[part])] for part in apart.part),
-        tuple(human.bodies[int(body)].name for body in apart.body),
-        centres[np.arange(len(centres)), apart.part],
-    )
+    k = int(np.argmin(apart.distance_m))
+    part, when_s = int(apart.part[k]), float(t_s[k])
+    link, body = arm.link_names[int(spheres.link[part])], human.bodies[int(apart.body[k])].name
+    closest = Closest(apart.least_m, when_s, run.percent(when_s), link, body)
+    return Clearance(t_s, apart.distance_m, closest, spheres.world_m(arm.chain, q_robot[known][k : k + 1])[0, part])
