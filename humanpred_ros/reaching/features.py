@@ -45,8 +45,8 @@ RULES = np.array(
     ]
 )
 _STEP = np.array([0.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0])
-#: Reaches whose differences are taken together, so that they stay in the cache.
-_TOGETHER = 16
+#: Reaches whose features are computed together, so that they stay in the cache.
+_TOGETHER = 32
 #: Postures kept of what came before a reach (P2: 6), more than the rules look back.
 PADDING = 6
 
@@ -154,8 +154,10 @@ class ReachFeatures:
     def values(self, q: ArrayLike, situation: ReachSituation) -> FloatArray:
         """Return the features (R, 24) of reaches (R, N, J), or (24,) of one reach (N, J); raises as above."""
         batch = np.asarray(q, dtype=np.float64)
-        values: FloatArray = self.waypoint_values(batch[None] if batch.ndim == 2 else batch, situation).sum(axis=1)
-        return values[0] if batch.ndim == 2 else values
+        if batch.ndim == 2:
+            return np.asarray(self.values(batch[None], situation)[0], dtype=np.float64)
+        parts = [batch[first : first + _TOGETHER] for first in range(0, len(batch), _TOGETHER)] or [batch]
+        return np.concatenate([self.waypoint_values(part, situation).sum(axis=1) for part in parts])
 
 
 def _differences(y: FloatArray, before: FloatArray) -> FloatArray:
@@ -168,9 +170,7 @@ def _differences(y: FloatArray, before: FloatArray) -> FloatArray:
     earlier = np.broadcast_to(before[-REACH:], (len(y), REACH, y.shape[2])) if len(before) else y[:, [0] * REACH]
     padded = np.concatenate([earlier, y, y[:, [-1] * REACH]], axis=1)
     found = np.empty((len(y), n, 1 + len(RULES)))
-    for first in range(0, len(y), _TOGETHER):
-        some = padded[first : first + _TOGETHER]
-        for k, rule in enumerate((_STEP, *RULES)):
-            value = sum(factor * some[:, i : i + n] for i, factor in enumerate(rule) if factor)
-            np.einsum("rnc,rnc->rn", value, value, out=found[first : first + _TOGETHER, :, k])
+    for k, rule in enumerate((_STEP, *RULES)):
+        value = sum(factor * padded[:, i : i + n] for i, factor in enumerate(rule) if factor)
+        np.einsum("rnc,rnc->rn", value, value, out=found[:, :, k])
     return found
