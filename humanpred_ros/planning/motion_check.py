@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from humanpred_ros.errors import PlanningError
-from humanpred_ros.geometry.chain import BodySpheres, KinematicChain
+from humanpred_ros.geometry.chain import BodySpheres, KinematicChain, reach_m
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.geometry.lattice_kernels import Lattice
@@ -127,6 +127,11 @@ class MotionChecker:
             first=np.searchsorted(spheres.link[order], np.arange(n + 1)).astype(np.int64),
             lever=lever_arms_m(self.chain, spheres)[:, order],
         )
+
+    @cached_property
+    def reach(self) -> tuple[FloatArray, float]:
+        """Centre (3,) and radius of a ball that the spheres never leave, world frame, metres."""
+        return reach_m(self.chain, self.spheres)
 
     def against(self, field: SignedDistanceField, padding_m: float, what: str) -> MotionChecker:
         """Return the same check against something else (the person, say), without self-collision; cheap."""

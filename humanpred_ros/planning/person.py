@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from humanpred_ros.errors import PlanningError
-from humanpred_ros.geometry.chain import reach_m
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.compiled import exact, exact_part
 from humanpred_ros.geometry.distance_field import SignedDistanceField
@@ -142,7 +141,7 @@ class Person:
             return None
         # `voxels_above` is exclusive, the configured probabilities are not.
         voxels = self.occupancy.voxels_above(float(np.nextafter(np.float32(probability), np.float32(0.0))))
-        centre, radius = reach_m(self._checker.chain, self._checker.spheres)
+        centre, radius = self._checker.reach
         cap_m = max(_CAP_SEPARATIONS * separation, _LEAST_CAP_M)
         field = distance_to_voxels(self.occupancy.grid, voxels, centre - radius, centre + radius, cap_m)
         return self._checker.against(field, separation, "the person")

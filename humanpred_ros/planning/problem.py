@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from humanpred_ros import plugins
 from humanpred_ros.errors import GoalUnreachableError, PlanningError
-from humanpred_ros.geometry.chain import BodyPoints, BodySpheres, KinematicChain, reach_m
+from humanpred_ros.geometry.chain import BodyPoints, BodySpheres, KinematicChain
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
@@ -152,7 +152,7 @@ class Problem:
     def warm_up(self) -> None:
         """Use all that a step is made of once: what compiles at its first use must not cost a step its deadline."""
         q = next(iter(self.goals.values()))[0]
-        x, y, z = (float(value) for value in reach_m(self.chain, self.arm.spheres())[0])
+        x, y, z = (float(value) for value in self.checker.reach[0])
         corner = np.zeros((4, 4, 4), dtype=np.float32)
         corner[0, 0, 0] = 1.0
         occupancy = Occupancy(VoxelGrid((x, y, z), 0.05, corner.shape), corner)
