@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from humanpred_ros.nodes.controller_checks import REST_VELOCITY, controller_refusal
+pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
+
+from humanpred_ros.nodes.conversions import REST_VELOCITY, controller_refusal
 from humanpred_ros.planning.path import straight
 from humanpred_ros.planning.time_parameterisation import time_parameterise
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from humanpred_ros.errors import ArrayError, PlanningError
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.nodes.controller_checks import controller_refusal
+from humanpred_ros.nodes.conversions import controller_refusal
 from humanpred_ros.planning.time_parameterisation import time_parameterise
 from humanpred_ros.planning.trajectory import TimedTrajectory
 
