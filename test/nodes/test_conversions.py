@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from humanpred_ros.errors import ArrayError, PlanningError
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.nodes.conversions import controller_refusal
 from humanpred_ros.planning.time_parameterisation import time_parameterise
 from humanpred_ros.planning.trajectory import TimedTrajectory
 
@@ -104,7 +103,7 @@ def test_times_stay_strictly_increasing_on_the_wire(seed: int, apart_s: float) -
     q = rng.normal(size=(len(t), 2))
     origin_ns = int(rng.integers(0, 2**61))
     message = conversions.trajectory_message(("a", "b"), TimedTrajectory(t, q, 0.0 * q, 0.0 * q), origin_ns)
-    assert controller_refusal(message, ("a", "b")) == ""
+    assert conversions.controller_refusal(message, ("a", "b")) == ""
     assert conversions.stamp_ns(message.header.stamp) == origin_ns + round(float(t[0]) * 1e9)
     off = [
         conversions.stamp_ns(p.time_from_start) * 1e-9 - (when - t[0])
