@@ -28,6 +28,11 @@ def human_urdf(body_id: str) -> str:
     return f"/humans/bodies/{body_id}/urdf"
 
 
+def human_held(body_id: str) -> str:
+    """Return the topic on which a tracker says that it repeats its last posture on purpose."""
+    return f"/humans/bodies/{body_id}/held"
+
+
 def human_markers(body_id: str) -> str:
     """Return the topic of a tracked body's skeleton markers."""
     return f"/humans/bodies/{body_id}/markers"

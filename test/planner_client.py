@@ -20,6 +20,7 @@ from humanpred_ros import topics
 from humanpred_ros.evaluation.processes import ParameterValue
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.nodes import conversions, qos
+from humanpred_ros.nodes.trajectory_controller import TrajectoryController
 from humanpred_ros.planning.trajectory import TimedTrajectory
 from humanpred_ros.robot.scene import Scene
 
@@ -45,6 +46,7 @@ class PlannerClient(NodeClient):
 
     Attributes:
         decisions, trajectories, rollouts: what came, in order; `rollouts` only after `watch_rollouts`.
+        controller: an arm that follows what it is sent; its joint states are published while `arm_runs`.
     """
 
     def __init__(self, folder: Path, scene: Scene, parameters: Mapping[str, ParameterValue]) -> None:
@@ -53,10 +55,13 @@ class PlannerClient(NodeClient):
         self.decisions: list[Answer] = []
         self.trajectories: list[JointTrajectory] = []
         self.rollouts: list[MarkerArray] = []
+        self.controller = TrajectoryController(self.joint_names, scene.start)
+        self.arm_runs = False
 
     def connect(self, node: Node) -> tuple[Publisher, ...]:
         node.create_subscription(DiagnosticArray, topics.DECISION, self._on_decision, qos.LOSSLESS)
-        node.create_subscription(JointTrajectory, topics.TRAJECTORY, self.trajectories.append, qos.LOSSLESS)
+        node.create_subscription(JointTrajectory, topics.TRAJECTORY, self._on_trajectory, qos.LOSSLESS)
+        node.create_timer(0.02, self._move_arm)
         self._human = node.create_publisher(PointCloud2, topics.OCCUPANCY, qos.SENSOR_PUBLISHER)
         self._arm = node.create_publisher(JointState, topics.JOINT_STATES, qos.SENSOR_PUBLISHER)
         return (self._human, self._arm)
@@ -70,8 +75,19 @@ class PlannerClient(NodeClient):
         self._arm.publish(conversions.joint_state(self.joint_names[:n_joints], positions, self.now_ns()))
 
     def settle_arm(self) -> None:
-        """Let the planner know an arm at the scene's start."""
-        self.send_until(self.send_arm, lambda: self.diagnostics[0] == "ready", "the planner to know the arm")
+        """Let the planner know an arm at the scene's start, which from now on follows what it is sent."""
+        self.arm_runs = True
+        self.send_until(lambda: None, lambda: self.diagnostics[0] == "ready", "the planner to know the arm")
+
+    def _move_arm(self) -> None:
+        if self.arm_runs:
+            self.controller.update(self.now_ns())
+            arm = self.controller
+            self._arm.publish(conversions.joint_state(self.joint_names, arm.q, self.now_ns(), v=arm.v))
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        self.trajectories.append(message)
+        self.controller.command(message, self.now_ns())
 
     def send_cloud(self, cloud: PointCloud2) -> None:
         self._human.publish(cloud)

@@ -49,6 +49,10 @@ class GraphNode(Node):
         """Return what the node still waits for, or an empty string when it is ready."""
         return ""
 
+    def holding_because(self) -> str:
+        """Return why the node does not do its work now, although nothing is missing; empty if it does."""
+        return ""
+
     def unmatched(self, publisher: Publisher, listener: str) -> str:
         """Return what a publisher still lacks before nothing it sends is lost; empty when it lacks nothing.
 
@@ -77,11 +81,11 @@ class GraphNode(Node):
 
     def publish_status(self) -> None:
         """Publish readiness, the counts of refused inputs, and the warnings that stand."""
-        waiting = self.waiting_for()
+        waiting, holding = self.waiting_for(), self.holding_because()
         status = DiagnosticStatus(
             name=self.get_name(),
-            level=DiagnosticStatus.WARN if waiting or self.refused or self.warnings else DiagnosticStatus.OK,
-            message=f"waiting for {waiting}" if waiting else READY,
+            level=DiagnosticStatus.WARN if waiting or holding or self.refused or self.warnings else DiagnosticStatus.OK,
+            message=f"waiting for {waiting}" if waiting else f"holding: {holding}" if holding else READY,
             values=[
                 *(KeyValue(key=f"refused/{kind}", value=str(count)) for kind, count in self.refused.items()),
                 *(KeyValue(key=f"warning/{about}", value=text) for about, text in self.warnings.items()),

@@ -50,9 +50,9 @@ def ordered_positions(message: JointState, names: Sequence[str]) -> FloatArray:
     """Return the positions of `names` (D,), wherever they stand in the message.
 
     Raises:
-        ArrayError: a name is missing, or a position is not finite.
+        ArrayError: a name is missing or stands there twice, or a position is not finite.
     """
-    where = {name: k for k, name in enumerate(message.name)}
+    where = _places_of(message, names)
     missing = [name for name in names if name not in where or where[name] >= len(message.position)]
     if missing:
         raise ArrayError(f"missing joints: wanted {', '.join(names)}; {', '.join(missing)} did not come")
@@ -60,6 +60,28 @@ def ordered_positions(message: JointState, names: Sequence[str]) -> FloatArray:
     if not np.isfinite(q).all():
         raise ArrayError(f"not finite: wanted numbers for {', '.join(names)}, got {q}")
     return q
+
+
+def ordered_velocities(message: JointState, names: Sequence[str]) -> FloatArray | None:
+    """Return the velocities of `names` (D,); None if the message does not have them all, or not all are finite.
+
+    Raises:
+        ArrayError: a name stands there twice.
+    """
+    where = _places_of(message, names)
+    if any(where.get(name, len(message.velocity)) >= len(message.velocity) for name in names):
+        return None
+    v = np.array([message.velocity[where[name]] for name in names], dtype=np.float64)
+    return v if np.isfinite(v).all() else None
+
+
+def _places_of(message: JointState, names: Sequence[str]) -> dict[str, int]:
+    where = {name: k for k, name in enumerate(message.name)}
+    if len(where) < len(message.name):
+        twice = sorted({name for name in where if list(message.name).count(name) > 1} & set(names))
+        if twice:
+            raise ArrayError(f"joint twice: wanted every joint once, got {', '.join(twice)} more than once")
+    return where
 
 
 def _cloud(columns: NDArray[Any], t_ns: int, frame_id: str) -> PointCloud2:
@@ -91,35 +113,91 @@ def occupancy_cloud(occupancy: Occupancy, threshold: float, t_ns: int, frame_id:
     return _cloud(points, t_ns, frame_id)
 
 
-def occupancy_from_cloud(message: PointCloud2, grid: VoxelGrid, t_s: float) -> Occupancy:
-    """Return the occupancy a cloud describes on `grid`; voxels that did not travel are 0.
+#: Begins the name of a field of clouds that say why nobody knows where people are.
+_UNKNOWN = "unknown: "
+
+
+def unknown_cloud(reason: str, t_ns: int, frame_id: str = "world") -> PointCloud2:
+    """Return a cloud that says that nobody knows where people are, and why; `occupancy_from_cloud` raises it."""
+    cloud = _cloud(np.empty(0, dtype=[(name, "<f4") for name in ("x", "y", "z", "probability")]), t_ns, frame_id)
+    cloud.fields = [*cloud.fields, PointField(name=f"{_UNKNOWN}{reason}", datatype=PointField.FLOAT32, count=1)]
+    return cloud
+
+
+#: Types of numbers in a cloud (sensor_msgs/PointField), as NumPy knows them.
+_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+
+
+def cloud_columns(message: PointCloud2, names: Sequence[str]) -> NDArray[np.float64]:
+    """Return the (N, K) values of K fields of a cloud, wherever they stand in a point and whatever their type.
 
     Raises:
-        ArrayError: other fields than x, y, z, probability; points that are not voxel centres of `grid`;
-            probabilities that are not finite or outside [0, 1].
+        ArrayError: a field that is missing, given twice, or of no known type; sizes that disagree.
     """
-    if [field.name for field in message.fields] != ["x", "y", "z", "probability"] or message.point_step != 16:
+    fields = {field.name: field for field in message.fields}
+    absent = [name for name in names if name not in fields]
+    if absent or len(fields) < len(message.fields):
         raise ArrayError(
-            "cloud fields: wanted float32 x, y, z, probability, "
-            f"got {', '.join(field.name for field in message.fields) or 'none'}"
+            f"cloud fields: wanted {', '.join(names)}, each once, got "
+            f"{', '.join(field.name for field in message.fields) or 'none'}"
         )
-    if len(message.data) % message.point_step:
+    step, points = message.point_step, message.width * message.height
+    if message.row_step != message.width * step or len(message.data) != message.height * message.row_step:
         raise ArrayError(
-            f"cloud data: wanted whole points of {message.point_step} bytes, got {len(message.data)} bytes"
+            f"cloud data: wanted {points} points ({message.height} rows of {message.width}) of {step} bytes, got rows "
+            f"of {message.row_step} bytes and {len(message.data)} bytes in all"
         )
-    points = np.frombuffer(message.data, dtype="<f4").reshape(-1, 4)
+    kinds = []
+    for name in names:
+        field = fields[name]
+        if field.datatype not in _NUMBERS or field.count != 1:
+            raise ArrayError(
+                f"cloud field {name}: wanted one number of a known type, got {field.count} of type {field.datatype}"
+            )
+        kind = np.dtype((">" if message.is_bigendian else "<") + _NUMBERS[field.datatype])
+        if field.offset + kind.itemsize > step:
+            raise ArrayError(
+                f"cloud field {name}: wanted {kind.itemsize} bytes within a point of {step}, got them at {field.offset}"
+            )
+        kinds.append(kind)
+    if not points:
+        return np.empty((0, len(names)))
+    offsets = [fields[name].offset for name in names]
+    layout = np.dtype({"names": list(names), "formats": kinds, "offsets": offsets, "itemsize": step})
+    table = np.frombuffer(message.data, dtype=layout)
+    return np.stack([table[name].astype(np.float64) for name in names], axis=1)
+
+
+def occupancy_from_cloud(message: PointCloud2, grid: VoxelGrid, t_s: float, frame_id: str = "world") -> Occupancy:
+    """Return the occupancy a cloud describes on `grid`; voxels that did not travel are 0.
+
+    A voxel that is given twice counts with its larger probability.
+
+    Raises:
+        ArrayError: a cloud in another frame than `frame_id`; one that cannot be read (`cloud_columns`); points that are
+            not voxel centres of `grid`; probabilities that are not finite or outside [0, 1].
+    """
+    if message.header.frame_id.lstrip("/") != frame_id:
+        raise ArrayError(f"cloud frame: wanted {frame_id!r}, got {message.header.frame_id!r}")
+    said = [field.name.removeprefix(_UNKNOWN) for field in message.fields if field.name.startswith(_UNKNOWN)]
+    if said:
+        raise ArrayError(f"where people are is not known: {said[0]}")
+    values = cloud_columns(message, ("x", "y", "z", "probability"))
     probability = np.zeros(grid.size, dtype=np.float32)
-    if len(points):
-        if not np.isfinite(points).all():
+    if len(values):
+        if not np.isfinite(values).all():
             raise ArrayError("not finite: the occupancy cloud holds NaN or infinity")
-        flat = grid.flat_index(points[:, :3])
-        off = np.abs(grid.centres_m(np.maximum(flat, 0)) - points[:, :3]).max(axis=1)
+        flat = grid.flat_index(values[:, :3])
+        off = np.abs(grid.centres_m(np.maximum(flat, 0)) - values[:, :3]).max(axis=1)
         if (flat < 0).any() or off.max() > _CENTRE_TOLERANCE * grid.resolution_m:
             raise ArrayError(
                 f"other lattice: points are not voxel centres of the scene's grid "
                 f"(origin {grid.origin_m}, {grid.resolution_m} m, {grid.shape}); use one scene for both nodes"
             )
-        probability[flat] = points[:, 3]
+        low, high = float(values[:, 3].min()), float(values[:, 3].max())
+        if low < 0.0 or high > 1.0:
+            raise ArrayError(f"occupancy: wanted probabilities within [0, 1], got {low:g} to {high:g}")
+        np.maximum.at(probability, flat, values[:, 3].astype(np.float32))
     return Occupancy(grid, probability.reshape(grid.shape), t_s)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState, PointCloud2
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 from visualization_msgs.msg import MarkerArray
 
 from humanpred_ros import topics
@@ -17,6 +17,7 @@ from humanpred_ros.errors import HumanPredError, UsageError
 from humanpred_ros.geometry import compiled
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import human_named
+from humanpred_ros.human.plausible import PlausibilityCheck, PlausibilitySettings
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
@@ -47,7 +48,7 @@ _MARKER_PERIOD_NS = 200_000_000
 _REACH_PERIOD_NS = 1_000_000_000
 
 
-class OccupancyPredictorSettings(Settings):
+class OccupancyPredictorSettings(PlausibilitySettings):
     """Parameters of `occupancy_predictor`."""
 
     scene: str = setting("face_to_face", "scene name in config/scenes, or a YAML file")
@@ -72,15 +73,18 @@ class OccupancyPredictorSettings(Settings):
     threshold: float = setting(0.001, "voxels with a higher probability are published", low=0.0, high=1.0)
     listener: str = setting("", "node that must be listening to the occupancy before this one is ready")
     restart_gap_s: float = setting(1.0, "a longer silence starts a new motion", unit="s", low=0.05, high=60.0)
+    max_ahead_s: float = setting(
+        0.05, "postures with a stamp farther ahead of the clock are invalid", unit="s", low=0.0, high=10.0
+    )
     lossless: bool = setting(False, "subscribe reliably and keep every posture (stepped runs)")
 
 
 class OccupancyPredictorNode(GraphNode):
     """One occupancy, and one class posterior, per posture received.
 
-    A posture that cannot be used is refused with a counted reason on /diagnostics; the planner sees no
-    new occupancy then and holds when the last one gets old. A jump back in time or a long silence starts
-    a new motion.
+    A posture that cannot be used, or that no person can have, is refused with a counted reason on /diagnostics; what is
+    published then says that nobody knows where people are, and why, so that the planner holds at once. A jump back in
+    time or a long silence starts a new motion.
 
     With the predictor `reaching`, the places where the hand may go can be changed while the node runs
     (parameter `places`); those that the person cannot get to are warned about on /diagnostics.
@@ -107,6 +111,10 @@ class OccupancyPredictorNode(GraphNode):
                 self.reaching = self._reaching(scene, told, cast("ReachingSettings", own))
             self.predictor = self.reaching or self._trained(scene, own, given[settings.classifier])
         declare_plugin(self, settings.predictor, own)
+        self.plausibility = PlausibilityCheck(
+            self.human, scene.grid, scene.T_world_human, settings.part(PlausibilitySettings)
+        )
+        self.held = False
         self.origin_ns = 0
         self.looked_ns: int | None = None
         self.last_ns: int | None = None
@@ -118,6 +126,7 @@ class OccupancyPredictorNode(GraphNode):
         self.grid_publisher = self.create_publisher(String, topics.VOXEL_GRID, qos.LATCHED)
         self.grid_publisher.publish(String(data=conversions.grid_description(scene.grid)))
         self.add_on_set_parameters_callback(self.on_parameters)
+        self.create_subscription(Bool, topics.human_held(settings.body_id), self.on_held, qos.LATCHED)
         self.create_subscription(
             JointState,
             topics.human_joint_states(settings.body_id),
@@ -125,6 +134,10 @@ class OccupancyPredictorNode(GraphNode):
             # One that plans may be slower than its sensor: old postures that queue up would make it ever later.
             qos.sensor_subscription(settings.lossless, newest_only=settings.predictor == "reaching"),
         )
+
+    def on_held(self, message: Bool) -> None:
+        """Remember whether the tracker repeats its last posture on purpose."""
+        self.held = message.data
 
     def _trained(self, scene: Scene, own: Settings, classifier: dict[str, Any]) -> Predictor:
         """Return one of the predictors that know classes, or nothing, with its settings and the classifier's."""
@@ -216,7 +229,12 @@ class OccupancyPredictorNode(GraphNode):
     def on_posture(self, message: JointState) -> None:
         """Predict from one posture and publish; refuse it with a named reason if it cannot be used."""
         stamp_ns = conversions.stamp_ns(message.header.stamp)
+        now_ns = self.get_clock().now().nanoseconds
+        ahead_s = (stamp_ns - now_ns) * 1e-9
         gap_ns = self.settings.restart_gap_s * 1e9
+        if ahead_s > self.settings.max_ahead_s and not self.settings.lossless:
+            self._say_unknown(f"stamp ahead: the tracker's clock is {ahead_s:.3g} s ahead", now_ns)
+            return
         if self.last_ns is not None and -gap_ns < stamp_ns - self.last_ns <= 0:
             self.refuse(f"stamp not increasing: posture at {stamp_ns} ns after one at {self.last_ns} ns")
             return
@@ -224,11 +242,17 @@ class OccupancyPredictorNode(GraphNode):
             q = conversions.ordered_positions(message, self.human.dof_names)
             if self.last_ns is None or abs(stamp_ns - self.last_ns) > gap_ns:
                 self.predictor.start()
+                self.plausibility.start()
                 self.origin_ns = stamp_ns
             self.last_ns = stamp_ns
-            prediction = self.predictor.update(q, (stamp_ns - self.origin_ns) * 1e-9)
+            t_s = (stamp_ns - self.origin_ns) * 1e-9
+            doubt = self.plausibility.refusal(q, t_s, self.held)
+            if doubt is not None:
+                self._say_unknown(str(doubt), stamp_ns)
+                return
+            prediction = self.predictor.update(q, t_s)
         except HumanPredError as error:
-            self.refuse(str(error))
+            self._say_unknown(str(error), stamp_ns)
             return
         self.publisher.publish(conversions.occupancy_cloud(prediction.occupancy, self.settings.threshold, stamp_ns))
         self._publish_places(prediction, stamp_ns)
@@ -236,6 +260,11 @@ class OccupancyPredictorNode(GraphNode):
         if self.marker_publisher.get_subscription_count() and abs(stamp_ns - self.last_marker_ns) >= _MARKER_PERIOD_NS:
             self.last_marker_ns = stamp_ns
             self.marker_publisher.publish(occupancy_markers(prediction.occupancy, conversions.time_message(stamp_ns)))
+
+    def _say_unknown(self, reason: str, stamp_ns: int) -> None:
+        """Refuse a posture, and tell whoever plans that nobody knows where people are."""
+        self.refuse(reason)
+        self.publisher.publish(conversions.unknown_cloud(reason, stamp_ns))
 
     def _publish_places(self, prediction: Prediction, stamp_ns: int) -> None:
         """Publish where the hand may go, and how probable each place is."""

@@ -11,6 +11,9 @@ SENSOR_PUBLISHER = QoSProfile(depth=64, reliability=ReliabilityPolicy.RELIABLE)
 SENSOR_SUBSCRIBER = QoSProfile(depth=16, reliability=ReliabilityPolicy.BEST_EFFORT)
 NEWEST_ONLY = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
+#: The arm's joint states wait while a step is planned; a gripper's, on the same topic, must not push them out.
+ARM = QoSProfile(depth=8, reliability=ReliabilityPolicy.BEST_EFFORT)
+
 #: Recorders and stepped runs: everything, in order.
 LOSSLESS = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 

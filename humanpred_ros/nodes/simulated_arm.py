@@ -1,44 +1,52 @@
-"""Stands in for the robot: follows trajectories exactly and reports the joint states."""
+"""Stands in for the robot: an arm behind a joint trajectory controller, which reports its joint states."""
 
 from __future__ import annotations
 
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from humanpred_ros import topics
-from humanpred_ros.errors import PlanningError
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.parameters import declare
-from humanpred_ros.planning.trajectory import Schedule
+from humanpred_ros.nodes.trajectory_controller import ControllerSettings, TrajectoryController
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
 from humanpred_ros.robot.scene_file import read_scene_file
-from humanpred_ros.settings import Settings, setting
-
-#: Before any trajectory: the arm has always rested.
-_LONG_AGO_S = -1e9
+from humanpred_ros.settings import setting
 
 
-class SimulatedArmSettings(Settings):
+class SimulatedArmSettings(ControllerSettings):
     """Parameters of `simulated_arm`."""
 
     scene: str = setting("face_to_face", "scene whose start configuration the arm is in")
     rate_hz: float = setting(50.0, "joint states per second", unit="Hz", low=1.0, high=1000.0)
+    velocity_limit: float = setting(
+        4.0, "no joint is faster, whatever is commanded", unit="rad/s", low=0.01, high=100.0
+    )
+    speed_factor: float = setting(
+        1.0, "speed of the trajectory's time; 0 is a pause", low=0.0, high=1.0, changeable=True
+    )
+    stuck: bool = setting(False, "the arm does not move, as in an emergency stop", changeable=True)
 
 
 class SimulatedArm(GraphNode):
-    """Starts at the scene's start configuration and tracks what it is sent, as an ideal controller would.
-
-    A new trajectory takes over at its first point's time (header.stamp); until then the old one goes on.
-    """
+    """Starts at the scene's start configuration and does what a stock controller does with what it is sent."""
 
     def __init__(self) -> None:
         super().__init__("simulated_arm")
         settings = declare(self, SimulatedArmSettings)
-        self.rest_q = read_scene_file(settings.scene).angle("start")
-        self.origin_ns: int | None = None
-        self.schedule = Schedule(self.rest_q, _LONG_AGO_S)
+        self.controller = TrajectoryController(
+            RIGHT_ARM_JOINTS,
+            read_scene_file(settings.scene).angle("start"),
+            settings.velocity_limit,
+            settings.part(ControllerSettings),
+        )
+        self.controller.speed_factor, self.controller.stuck = settings.speed_factor, settings.stuck
+        self.commanded = False
+        self.ended = ""
         # Made first, so that a trajectory and a clock tick that wait together are taken in this order.
         self.create_subscription(JointTrajectory, topics.TRAJECTORY, self.on_trajectory, qos.COMMAND)
         self.publisher = self.create_publisher(JointState, topics.JOINT_STATES, qos.SENSOR_PUBLISHER)
@@ -50,24 +58,30 @@ class SimulatedArm(GraphNode):
         else:
             self.create_timer(1.0 / settings.rate_hz, self.publish_now)
         # Before /clock ticks (it may wait for us), the start configuration must already be known.
+        self.add_on_set_parameters_callback(self.on_parameters)
         self.startup_timer = self.create_timer(0.1, self.publish_start, clock=self._status_timer.clock)
 
     def waiting_for(self) -> str:
         return self.unmatched(self.publisher, "")
 
+    def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Slow down, pause or hold the arm at run time; everything else is read-only."""
+        for parameter in parameters:
+            if parameter.name in ("speed_factor", "stuck"):
+                setattr(self.controller, parameter.name, parameter.value)
+        return SetParametersResult(successful=True)
+
     def on_trajectory(self, message: JointTrajectory) -> None:
         """Take a trajectory a controller would accept; refuse any other and stay with the old one."""
-        if self.origin_ns is None:
-            self.origin_ns = conversions.stamp_ns(message.header.stamp)
-        try:
-            trajectory = conversions.trajectory_from_message(message, RIGHT_ARM_JOINTS, self.origin_ns)
-            self.schedule.add(trajectory.start_s, trajectory)
-        except PlanningError as error:
-            self.refuse(str(error))
+        refusal = self.controller.command(message, self.get_clock().now().nanoseconds)
+        if refusal:
+            self.refuse(refusal)
+        else:
+            self.commanded = True
 
     def publish_start(self) -> None:
         """Publish the start configuration until the first trajectory comes, whatever the clock does."""
-        if self.origin_ns is not None:
+        if self.commanded:
             self.startup_timer.cancel()
             return
         self.publish_now()
@@ -85,9 +99,12 @@ class SimulatedArm(GraphNode):
 
     def publish_state(self, now_ns: int) -> None:
         """Publish where the arm is at `now_ns`."""
-        q, v = self.rest_q, None
-        if self.origin_ns is not None:
-            q, v, _ = self.schedule.state_at((now_ns - self.origin_ns) * 1e-9)
+        self.controller.update(now_ns)
+        if self.controller.ended != self.ended:
+            self.ended = self.controller.ended
+            if self.ended:
+                self.get_logger().warning(f"trajectory given up: {self.ended}")
+        q, v = self.controller.q, self.controller.v
         self.publisher.publish(conversions.joint_state(RIGHT_ARM_JOINTS, q, now_ns, v=v))
 
 

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 from visualization_msgs.msg import MarkerArray
 
 from humanpred_ros import topics
@@ -76,6 +76,8 @@ class SkeletonTrackerReplay(SteppedSource):
             JointState, topics.human_joint_states(body), qos.SENSOR_PUBLISHER
         )
         self.marker_publisher = self.create_publisher(MarkerArray, topics.human_markers(body), qos.MARKERS)
+        self.held_publisher = self.create_publisher(Bool, topics.human_held(body), qos.LATCHED)
+        self.held_publisher.publish(Bool(data=False))
         self.urdf_publisher = self.create_publisher(String, topics.human_urdf(body), qos.LATCHED)
         self.urdf_publisher.publish(String(data=self.human.urdf))
         self.get_logger().info(
@@ -132,6 +134,8 @@ class SkeletonTrackerReplay(SteppedSource):
         self.sent(t_ns)
         if self.stepped:
             self.publish_clock(t_ns)
+        if self.next_frame == len(self.motion) + 1:  # from now on the last posture is repeated
+            self.held_publisher.publish(Bool(data=True))
         self.posture_publisher.publish(conversions.joint_state(self.human.dof_names, q, t_ns, frame_id))
         if self.marker_publisher.get_subscription_count() and offset_ns - self.last_marker_ns >= _MARKER_PERIOD_NS:
             self.last_marker_ns = offset_ns

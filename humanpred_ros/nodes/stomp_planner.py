@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import threading
 import time
+from dataclasses import replace
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
@@ -20,7 +23,8 @@ from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.markers import candidate_markers, rollout_markers
 from humanpred_ros.nodes.parameters import declare, plugin_parameters
-from humanpred_ros.planning.decision import HOLD, Decision
+from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, Decision
+from humanpred_ros.planning.following import ArmFollowing, FollowingSettings
 from humanpred_ros.planning.replanner import Replanner
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.plugins import Given
@@ -28,7 +32,13 @@ from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.settings import Settings, setting, setting_of
 from humanpred_ros.stomp.config import StompConfig
 
-_WATCH_PERIOD_S = 0.05
+_WATCH_PERIOD_S = 0.02
+#: After an arm did not follow, so long passes before it is commanded again, s.
+_RETRY_S = 1.0
+#: Stamps of joint states older than this are not of the node's clock, s.
+_LONGEST_DELAY_S = 0.3
+#: A trajectory that ends sooner could be over before the controller has it, s.
+_LEAST_S = 0.1
 #: Share of a step after its occupancy's stamp that STOMP may take in real time: few goals answer sooner.
 _SHARE_PER_GOAL, _LEAST_SHARE = 0.16, 0.25
 
@@ -58,6 +68,17 @@ class StompPlannerSettings(Settings):
     controller: str = setting("", "node that must be listening to the trajectories before this one is ready")
     listener: str = setting("", "node that must be listening to the decisions before this one is ready")
     max_human_age_s: float = setting(0.5, "older human occupancy leads to a hold", unit="s", low=0.02, high=60.0)
+    max_ahead_s: float = setting(
+        0.05, "human data with a stamp farther ahead of the clock are invalid", unit="s", low=0.0, high=10.0
+    )
+    max_arm_age_s: float = setting(
+        0.5, "an arm whose joint states have not come for so long is silent: a hold", unit="s", low=0.02, high=60.0
+    )
+    follow_tolerance_rad: float = setting_of(FollowingSettings, "follow_tolerance_rad")
+    follow_lag_s: float = setting_of(FollowingSettings, "follow_lag_s")
+    start_slack_rad: float = setting(
+        0.01, "an arm so little outside its joint limits is planned for from within them", unit="rad", low=0.0, high=0.2
+    )
     stomp_share: float = setting(
         0.6,
         "share of a step after which STOMP must stop in real time, with many goals; sooner with few",
@@ -76,7 +97,10 @@ class StompPlannerNode(GraphNode):
     """P1's Algorithm 1 on topics: an occupancy comes in, a decision goes out, and a trajectory when due.
 
     Every occupancy is answered by exactly one decision with the same stamp. Human data that are stale,
-    or that cannot be used, lead to a hold with a named reason, never to planning as if nobody were there.
+    or that cannot be used, lead to a hold with a named reason, never to planning as if nobody were there. So does an
+    arm that is silent, or not where it was commanded to be: planning goes on from where it was measured, once it rests.
+
+    In stepped runs, which wait for whoever is slow, ages mean nothing; they are not looked at, and neither is the arm.
     """
 
     def __init__(self) -> None:
@@ -87,23 +111,32 @@ class StompPlannerNode(GraphNode):
             config = settings.replanner_config(plugin_parameters(self, settings.cost_terms))
             self.replanner = Replanner.for_scene(self.scene, config)
             self.replanner.warm_up()
+        self.following = ArmFollowing(self.replanner.joint_names, settings.part(FollowingSettings))
         self.arm_q: FloatArray | None = None
+        self.arm_v: FloatArray = np.zeros(len(self.replanner.joint_names))
         self.begun = self.holding = False
+        self.lost_s = 0.0
         self.origin_ns = self.last_ns = self.last_now_ns = 0
+        # When the newest usable occupancy and the newest joint state came, on a clock that nobody sets.
+        self.human_came_s = self.arm_came_s = time.monotonic()
+        self.last_refusal = ""
 
         self.trajectory_publisher = self.create_publisher(JointTrajectory, topics.TRAJECTORY, qos.COMMAND)
         self.decision_publisher = self.create_publisher(DiagnosticArray, topics.DECISION, qos.SENSOR_PUBLISHER)
         self.candidate_publisher = self.create_publisher(MarkerArray, topics.CANDIDATES, qos.MARKERS)
         self.rollout_publisher = self.create_publisher(MarkerArray, topics.ROLLOUTS, qos.MARKERS)
         self.add_on_set_parameters_callback(self.on_parameters)
-        self.create_subscription(JointState, topics.JOINT_STATES, self.on_joint_state, qos.NEWEST_ONLY)
+        self.create_subscription(JointState, topics.JOINT_STATES, self.on_joint_state, qos.ARM)
         self.create_subscription(
             PointCloud2,
             topics.OCCUPANCY,
             self.on_occupancy,
             qos.sensor_subscription(settings.lossless, newest_only=True),
         )
-        self.create_timer(_WATCH_PERIOD_S, self.watch)
+        # A thread of its own: what protects must not wait for planning, or for a clock that has stopped.
+        self._closing = threading.Event()
+        self._watchdog = threading.Thread(target=self._watch, name="watchdog", daemon=True)
+        self._watchdog.start()
 
     def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         """Take the noise of the rollouts at run time; everything else is read-only."""
@@ -118,47 +151,149 @@ class StompPlannerNode(GraphNode):
         listening = self.unmatched(self.decision_publisher, self.settings.listener) if self.settings.listener else ""
         return self.unmatched(self.trajectory_publisher, self.settings.controller) or listening
 
+    def holding_because(self) -> str:
+        return self.replanner.held
+
+    def close(self) -> None:
+        self._closing.set()
+        self._watchdog.join()
+
     def on_joint_state(self, message: JointState) -> None:
-        """Remember where the arm is: planning begins there, and begins anew when the clock jumps back."""
+        """Compare where the arm is with where it was commanded to be; messages about other joints are passed over."""
+        if not set(message.name) & set(self.replanner.joint_names):
+            return
         try:
-            self.arm_q = conversions.ordered_positions(message, self.replanner.joint_names)
+            q = conversions.ordered_positions(message, self.replanner.joint_names)
+            v = conversions.ordered_velocities(message, self.replanner.joint_names)
         except ArrayError as error:
             self.refuse(str(error))
+            return
+        with self.replanner.lock:
+            self.arm_came_s = time.monotonic()
+            if self.begun:
+                # A driver may count the turns of a continuous joint otherwise.
+                commanded = self.replanner.state_at(self.now_s())[0]
+                q = commanded + self.replanner.arm.difference(commanded, q)
+            self.following.see(q, self.arm_came_s)
+            self.arm_q, self.arm_v = q, self.following.velocity if v is None else v
+            if self.begun and not self.settings.lossless:
+                self._check_arm(conversions.stamp_ns(message.header.stamp))
+
+    def _check_arm(self, stamp_ns: int) -> None:
+        """Hold when the arm is not where it was commanded to be; go on from where it is once it rests."""
+        now_s, q = self.now_s(), self.arm_q
+        # A message that was under way for long tells of an earlier moment.
+        late_s = min(max(now_s - (stamp_ns - self.origin_ns) * 1e-9, 0.0), _LONGEST_DELAY_S) if stamp_ns else 0.0
+        assert q is not None
+        if not self.replanner.lost:
+            trouble = self.replanner.arm_trouble(self.following, q, now_s, late_s)
+            if trouble:
+                self.lost_s = self.arm_came_s
+                # Told to stay where it is by now, so that it does not go on by itself when it is free again.
+                decision = self.replanner.correct(q + late_s * self.arm_v, self.arm_v, now_s, trouble)
+                self.publish(decision, self.last_ns, time.perf_counter())
+        elif self.following.at_rest and self.arm_came_s - self.lost_s >= _RETRY_S:
+            try:
+                self.replanner.regain(self.replanner.nearest_start(q, self.settings.start_slack_rad), now_s)
+            except PlanningError as error:
+                self.refuse(str(error))
 
     def on_occupancy(self, message: PointCloud2) -> None:
         """Answer one occupancy with one decision."""
         received_s = time.perf_counter()
         stamp_ns = conversions.stamp_ns(message.header.stamp)
-        if self.arm_q is None:
-            self.refuse("no arm: an occupancy came before the arm's joint states")
-            return
         now_ns = self.get_clock().now().nanoseconds
         age_s = (now_ns - stamp_ns) * 1e-9
-        stale = age_s > self.settings.max_human_age_s and not self.settings.lossless
+        lossless = self.settings.lossless
+        if -age_s > self.settings.max_ahead_s and not lossless:
+            self._answer_with_hold(
+                f"stamp ahead: the human data's clock is {-age_s:.3g} s ahead, at most {self.settings.max_ahead_s:g} s "
+                "are allowed",
+                stamp_ns,
+                received_s,
+            )
+            return
         back = self.begun and stamp_ns < self.last_ns
-        if not self.begun or (back and (self.settings.lossless or now_ns < self.last_now_ns)):
-            try:
-                self.replanner.start(self.arm_q, 0.0)
-            except PlanningError as error:
-                self.refuse(str(error))
+        stale = age_s > self.settings.max_human_age_s and not lossless
+        if not self.begun or (back and (lossless or now_ns < self.last_now_ns)):
+            if not self._begin(stamp_ns, received_s, anew=back and not lossless):
                 return
-            self.begun, self.origin_ns, self.last_ns = True, stamp_ns, stamp_ns
         elif back and not stale:  # overtaken by a newer one: the clock has not jumped back, so neither has the arm
-            self.refuse("stamp not increasing: an occupancy came after a newer one")
+            self._refuse_occupancy("stamp not increasing: an occupancy came after a newer one")
             return
         self.last_ns, self.last_now_ns = max(self.last_ns, stamp_ns), now_ns
+        if stale:
+            self._answer_with_hold(self.stale(age_s), stamp_ns, received_s)
+            return
         t_s = (stamp_ns - self.origin_ns) * 1e-9
         try:
             occupancy = conversions.occupancy_from_cloud(message, self.scene.grid, t_s)
         except ArrayError as error:
-            self.refuse(str(error))
-            self.publish(self.replanner.hold(self.now_s(), f"invalid human data: {error}"), stamp_ns, received_s)
+            self._answer_with_hold(str(error), stamp_ns, received_s, "invalid human data: ")
             return
-        if stale:
-            self.publish(self.replanner.hold(self.now_s(), self.stale(age_s)), stamp_ns, received_s)
-            return
+        self.human_came_s = time.monotonic()
+        self.last_refusal = ""
         self.holding = False
         self.publish(self.decide(occupancy), stamp_ns, received_s)
+
+    def _begin(self, stamp_ns: int, received_s: float, anew: bool) -> bool:
+        """Let the time of `stamp_ns` be zero, and the arm begin where it was measured; return whether it can."""
+        if self.arm_q is None:
+            self.refuse("no arm: an occupancy came before the arm's joint states")
+            return False
+        others = self.other_planners()
+        if others:
+            self._wait_with_hold(f"two planners: {others} commands this arm already; end one of them", stamp_ns)
+            return False
+        if not (self.settings.lossless or self.following.known):
+            self._wait_with_hold("arm not known: waiting to see whether it rests", stamp_ns)
+            return False
+        with self.replanner.lock:
+            if anew:
+                self.publish(self._hold("the clock was set back"), stamp_ns, received_s)
+            try:
+                self.replanner.start(self.replanner.nearest_start(self.arm_q, self.settings.start_slack_rad), 0.0)
+            except PlanningError as error:
+                self._wait_with_hold(str(error), stamp_ns)
+                return False
+            self.begun, self.origin_ns, self.last_ns = True, stamp_ns, stamp_ns
+            if not (self.settings.lossless or self.following.at_rest):
+                self.lost_s = -_RETRY_S
+                reason = "the arm moves, and not at this planner's command: it is stopped"
+                self.publish(self.replanner.correct(self.arm_q, self.arm_v, 0.0, reason), stamp_ns, received_s)
+        return True
+
+    def _wait_with_hold(self, reason: str, stamp_ns: int) -> None:
+        """Refuse to begin, with a decision that says why: whoever listens must not take silence for work."""
+        self.refuse(reason)
+        waiting = Decision(0.0, 0, HOLD, reason, None, None)
+        self.decision_publisher.publish(conversions.decision_message(waiting, stamp_ns, 0.0))
+
+    def other_planners(self) -> str:
+        """Return the names of other nodes that command the same controller; empty if there are none."""
+        nodes = [
+            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            for info in self.get_publishers_info_by_topic(self.trajectory_publisher.topic_name)
+        ]
+        own = self.get_fully_qualified_name()
+        if own in nodes:
+            nodes.remove(own)
+        return ", ".join(nodes)
+
+    def _refuse_occupancy(self, reason: str) -> None:
+        self.last_refusal = reason
+        self.refuse(reason)
+
+    def _answer_with_hold(self, reason: str, stamp_ns: int, received_s: float, what: str = "") -> None:
+        """Refuse an occupancy and hold, for data that say nothing of where people are; the hold also says `what`."""
+        self._refuse_occupancy(reason)
+        if self.begun:
+            self.publish(self._hold(what + reason), stamp_ns, received_s)
+
+    def _hold(self, reason: str) -> Decision:
+        with self.replanner.lock:
+            self.holding = True
+            return self.replanner.hold(self.now_s(), reason)
 
     def decide(self, occupancy: Occupancy) -> Decision:
         """Replan when a step is due or called for; a plan that comes too late to be switched to is not sent.
@@ -171,7 +306,10 @@ class StompPlannerNode(GraphNode):
             return self.replanner.respond(occupancy)
         share = max(_SHARE_PER_GOAL * len(self.replanner.goal_names), _LEAST_SHARE)
         enough_s = occupancy.t_s + min(share, self.settings.stomp_share) * self.settings.period_s
-        return self.replanner.respond(occupancy, self.now_s, lambda: self.now_s() >= enough_s)
+        decision = self.replanner.respond(occupancy, self.now_s, lambda: self.now_s() >= enough_s)
+        if decision.action == ARRIVED and not self.following.at_rest:
+            return replace(decision, action=KEEP, reason=f"about to arrive: {decision.chosen}, but the arm still moves")
+        return decision
 
     def stale(self, age_s: float) -> str:
         """Return the reason of a hold because human data are too old."""
@@ -181,22 +319,35 @@ class StompPlannerNode(GraphNode):
         """Return the node's time in seconds after the first occupancy."""
         return (self.get_clock().now().nanoseconds - self.origin_ns) * 1e-9
 
-    def watch(self) -> None:
-        """Hold when the last human data have become too old to act on; an arm at rest holds already."""
-        if not self.begun or self.holding or self.replanner.at_rest(self.now_s()):
-            return
-        age_s = (self.get_clock().now().nanoseconds - self.last_ns) * 1e-9
-        if age_s > self.settings.max_human_age_s:
-            self.holding = True
-            self.publish(self.replanner.hold(self.now_s(), self.stale(age_s)), self.last_ns, time.perf_counter())
+    def _watch(self) -> None:
+        """Hold when human data or joint states have not come for too long; an arm at rest holds already."""
+        while not self._closing.wait(_WATCH_PERIOD_S):
+            if not self.begun or self.settings.lossless:
+                continue
+            now_s = time.monotonic()
+            human_s, arm_s = now_s - self.human_came_s, now_s - self.arm_came_s
+            if arm_s > self.settings.max_arm_age_s:
+                reason = f"silent arm: its joint states have not come for {arm_s:.2f} s"
+            elif human_s > self.settings.max_human_age_s:
+                reason = f"stale human data: none that can be used came for {human_s:.2f} s"
+                reason += f" ({self.last_refusal})" if self.last_refusal else ""
+            else:
+                continue
+            with self.replanner.lock:
+                if not (self.holding or self.replanner.at_rest(self.now_s())):
+                    self.publish(self._hold(reason), self.last_ns, time.perf_counter())
 
     def publish(self, decision: Decision, stamp_ns: int, received_s: float) -> None:
         """Send the trajectory first, then the decision: who waits for the decision finds the arm informed."""
         compute_ms = 1e3 * (time.perf_counter() - received_s)
         if decision.trajectory is not None:
-            self.trajectory_publisher.publish(
-                conversions.trajectory_message(self.replanner.joint_names, decision.trajectory, self.origin_ns)
-            )
+            with self.replanner.lock:
+                # A controller forgets the old trajectory at once: it is sent what is left of it, then the new one.
+                now_s = decision.stamp_s if self.settings.lossless else self.now_s()
+                motion = self.replanner.motion_from(min(now_s, decision.t_switch_s)).lasting_until(now_s + _LEAST_S)
+                self.trajectory_publisher.publish(
+                    conversions.trajectory_message(self.replanner.joint_names, motion, self.origin_ns)
+                )
         if decision.goals or decision.action == HOLD:
             # People want to see what changes; that a goal is kept is only worth a look when searching a fault.
             log = self.get_logger().debug if decision.action == "keep" else self.get_logger().info

@@ -192,6 +192,7 @@ class State:
         leads_to: goal that the trajectory being executed ends at; None while stopping or moving aside.
         held: why the robot has been stopped; empty while it has not.
         urgent: whether any occupancy calls for a step, after an emergency stop.
+        lost: why the robot is not where the schedule says, so that it may not be commanded; empty while it is there.
     """
 
     period_s: float
@@ -207,6 +208,7 @@ class State:
     leads_to: str | None = None
     held: str = ""
     urgent: bool = False
+    lost: str = ""
 
     def due(self, t_s: float) -> bool:
         """Return whether an occupancy stamped `t_s` calls for a step."""

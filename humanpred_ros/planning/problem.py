@@ -21,7 +21,7 @@ from humanpred_ros.planning.motion_check import MotionChecker, SelfClearance
 from humanpred_ros.planning.path import reconnect, straight
 from humanpred_ros.planning.person import Person, widened
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.stopping import brake_along
+from humanpred_ros.planning.stopping import brake_along, stop_trajectory
 from humanpred_ros.planning.time_parameterisation import time_parameterise
 from humanpred_ros.planning.trajectory import TimedTrajectory
 from humanpred_ros.robot.goals import Goal
@@ -132,6 +132,11 @@ class Problem:
     def stopped(self, trajectory: TimedTrajectory, t_s: float) -> TimedTrajectory:
         """Return a stop along a trajectory from `t_s` on."""
         return brake_along(trajectory, t_s, self.acceleration_limit, self.config.sample_period_s)
+
+    def stopped_from(self, q: ArrayLike, v: ArrayLike, t_s: float) -> TimedTrajectory:
+        """Return a stop from a measured position and velocity (D,) at `t_s`, every joint for itself."""
+        limits = self.acceleration_limit, self.velocity_limit
+        return stop_trajectory(q, v, np.zeros_like(np.asarray(q)), *limits, self.config.sample_period_s, t_s)
 
     def not_free(self, trajectory: TimedTrajectory, begin_s: float) -> str:
         """Return why a trajectory must not be executed from `begin_s` on, whoever is there; empty if it may."""

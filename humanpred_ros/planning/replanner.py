@@ -15,6 +15,7 @@ bad is replanned at once, and one that would come too close to the person before
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -27,12 +28,13 @@ from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, MISSED, REPLAN, Decision, State
+from humanpred_ros.planning.following import ArmFollowing
 from humanpred_ros.planning.motion_check import SelfClearance
 from humanpred_ros.planning.person import Person
 from humanpred_ros.planning.problem import Arm, Problem
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.planning.step import Candidate, Step
-from humanpred_ros.planning.trajectory import Schedule
+from humanpred_ros.planning.trajectory import Schedule, TimedTrajectory
 from humanpred_ros.planning.waiting import wait
 from humanpred_ros.robot.clearance import SelfCollision
 from humanpred_ros.robot.goals import Goal
@@ -45,13 +47,14 @@ __all__ = ["Replanner", "ReplannerConfig"]
 class Replanner:
     """P1's Algorithm 1 for one arm and a set of goals.
 
-    Not safe to call from several threads at once; it uses threads of its own.
+    One thread plans; `hold` and `correct` may be called by another, also while a step is planned: under `lock`.
 
     Attributes:
         problem: what stays the same from step to step: arm, goals, limits, settings.
         config, arm, chain: of the problem.
         keep_rollouts: whether `rollouts` is wanted; it is for pictures only.
         rollouts: noisy trajectories (R, N, D) of the last step's last update, by goal.
+        lock: held while the state changes, not while a step is planned.
     """
 
     def __init__(
@@ -85,6 +88,7 @@ class Replanner:
         self._state: State | None = None
         self._noise_std: FloatArray | None = None
         self.keep_rollouts = False
+        self.lock = threading.RLock()
         self.rollouts: dict[str, Float32Array] = {}
 
     @classmethod
@@ -158,6 +162,9 @@ class Replanner:
         state = self._check(occupancy)
         stamp_s, t_switch_s = occupancy.t_s, occupancy.t_s + self.config.period_s
         now_s = stamp_s if now is None else now()
+        with self.lock:
+            if state.lost:
+                return replace(self.hold(now_s, state.lost), stamp_s=stamp_s)
         person = self.problem.person(occupancy)
         # Without a goal ahead the robot stops already, or gets out of the way as well as it can.
         if state.leads_to is not None:
@@ -167,10 +174,14 @@ class Replanner:
         if not (state.due(stamp_s) or person.calls_for_replanning(state.schedule, stamp_s, t_switch_s)):
             return self.keep(occupancy)
         decision = self._planned(state, person, deadline)  # lines 4 to 6
-        if now is not None and decision.trajectory is not None and now() >= decision.t_switch_s:
-            return self.missed(decision)
-        self.commit(decision)  # line 7
-        return decision
+        with self.lock:
+            if decision.step != state.step or self._state is not state:  # somebody has stopped the robot meanwhile
+                held = self._started()
+                return Decision(stamp_s, held.step - 1, HOLD, held.held, held.chosen, held.chosen)
+            if now is not None and decision.trajectory is not None and now() >= decision.t_switch_s:
+                return self.missed(decision)
+            self.commit(decision)  # line 7
+            return decision
 
     def plan(self, occupancy: Occupancy, deadline: Callable[[], bool] | None = None) -> Decision:
         """Plan to every goal and choose (lines 4 to 6 of Algorithm 1); nothing changes until `commit`.
@@ -235,6 +246,64 @@ class Replanner:
         )  # fmt: skip
         state.stop(decision)
         return decision
+
+    def correct(self, q: ArrayLike, v: ArrayLike, t_s: float, reason: str) -> Decision:
+        """Take the arm for where it was measured instead of where it was commanded to be, and hold until `regain`.
+
+        From there it stops, every joint for itself.
+
+        Args:
+            q, v: (D,) measured position and velocity.
+            t_s: when.
+            reason: of the hold.
+
+        Raises:
+            PlanningError: before `start`, or for a state of another shape.
+        """
+        state = self._started()
+        stop = self.problem.stopped_from(q, v, t_s)
+        state.schedule = Schedule(stop.q[0], t_s)
+        decision = Decision(t_s, state.step, HOLD, reason, state.chosen, state.chosen, t_switch_s=t_s, trajectory=stop)
+        state.stop(decision)
+        state.lost = reason
+        return decision
+
+    def regain(self, q: ArrayLike, t_s: float) -> None:
+        """Go on after `correct`, from an arm that was measured at rest at `q` (D,) at `t_s`; raises as `correct`."""
+        state = self._started()
+        state.schedule, state.lost = Schedule(q, t_s), ""
+
+    @property
+    def held(self) -> str:
+        """Why the robot has been stopped; empty while it has not."""
+        return "" if self._state is None else self._state.held
+
+    @property
+    def lost(self) -> str:
+        """Why the arm is not where it was commanded to be, so that it is not commanded; empty while it is."""
+        return "" if self._state is None else self._state.lost
+
+    def motion_from(self, t_s: float) -> TimedTrajectory:
+        """Return all that is commanded from `t_s` on, as one trajectory that begins with the state then."""
+        return self._started().schedule.motion_from(t_s)
+
+    def arm_trouble(self, following: ArmFollowing, q: FloatArray, t_s: float, delay_s: float = 0.0) -> str:
+        """Return why the arm does not follow what is commanded, as `ArmFollowing.trouble`; empty if it does."""
+        return following.trouble(self._started().schedule, q, t_s, delay_s)
+
+    def nearest_start(self, q: ArrayLike, slack_rad: float) -> FloatArray:
+        """Return where planning begins for an arm measured at `q` (D,): the nearest configuration within the limits.
+
+        Raises:
+            PlanningError: for a joint farther than `slack_rad` outside of its limits.
+        """
+        measured = checked("start configuration", q, (self.chain.n_joints,), error=PlanningError)
+        within: FloatArray = np.clip(measured, self.chain.lower, self.chain.upper)
+        if np.abs(within - measured).max() > slack_rad:
+            raise PlanningError(
+                f"start configuration: {self.problem.outside_limits(measured)}; move the arm to within its limits"
+            )
+        return within
 
     def state_at(self, t_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position, velocity and acceleration (D,) commanded at `t_s`."""

@@ -105,6 +105,18 @@ class TimedTrajectory:
         a = np.where(at_end | before, 0.0, a)
         return q, v, a
 
+    def lasting_until(self, t_s: float) -> TimedTrajectory:
+        """Return this trajectory, with rest at its end up to `t_s` if it ends sooner."""
+        if self.end_s >= t_s:
+            return self
+        rest = np.zeros_like(self.q[:1])
+        return TimedTrajectory(
+            np.append(self.t_s, t_s),
+            np.vstack([self.q, self.q[-1:]]),
+            np.vstack([self.v, rest]),
+            np.vstack([self.a, rest]),
+        )
+
 
 def at_rest(q: ArrayLike, t_s: float) -> TimedTrajectory:
     """Return the trajectory of a robot that rests at `q` (D,) from `t_s` on."""
@@ -157,6 +169,24 @@ class Schedule:
         begins = [from_s, *(begin_s for begin_s, _ in self._entries if from_s < begin_s < to_s)]
         ends = [*begins[1:], to_s]
         return [(begin_s, end_s, self.at(begin_s)) for begin_s, end_s in zip(begins, ends, strict=True)]
+
+    def motion_from(self, t_s: float) -> TimedTrajectory:
+        """Return all that is going to be executed from `t_s` on, as one trajectory that begins with the state then.
+
+        A controller forgets the trajectory under way when a new one comes, so this is what it must be sent.
+
+        Raises:
+            PlanningError: as `at`.
+        """
+        knots = [(t_s, *self.state_at(t_s))]
+        for begin_s, end_s, trajectory in self.pieces(t_s, np.inf):
+            if begin_s > t_s:
+                knots.append((begin_s, *trajectory.sample(begin_s)))
+            inside = (trajectory.t_s > begin_s) & (trajectory.t_s < end_s)
+            rows = (trajectory.t_s, trajectory.q, trajectory.v, trajectory.a)
+            knots += zip(*(row[inside] for row in rows), strict=True)
+        t, q, v, a = (np.array(part) for part in zip(*knots, strict=True))
+        return TimedTrajectory(t, q, v, a)
 
     def state_at(self, t_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position, velocity and acceleration (D,) at `t_s`."""

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import array
 import json
 
 import numpy as np
@@ -13,6 +14,9 @@ from humanpred_ros.planning.time_parameterisation import time_parameterise
 from humanpred_ros.planning.trajectory import TimedTrajectory
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
+from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import Header
+
 from humanpred_ros.nodes import conversions
 
 pytestmark = pytest.mark.core
@@ -167,3 +171,71 @@ def test_what_a_controller_refuses_is_refused() -> None:
     assert take(spoiled(), 750_000_000) == take(spoiled())
     with pytest.raises(PlanningError, match="over"):
         take(spoiled(), 750_000_001)
+
+
+def cloud_of(layout: np.dtype, **changes: object) -> PointCloud2:  # type: ignore[type-arg]
+    """Return a cloud of two voxels of GRID (the first twice) with points laid out as another maker does."""
+    flat = np.array([5, 7, 5])
+    points = np.zeros(3, dtype=layout)
+    for k, name in enumerate("xyz"):
+        points[name] = GRID.centres_m(flat)[:, k]
+    points["probability"] = (0.25, 0.5, 0.75)
+    numbers = {"f4": 7, "f8": 8, "u1": 2}
+    fields = [
+        PointField(name=name, offset=layout.fields[name][1], datatype=numbers[layout.fields[name][0].str[1:]], count=1)
+        for name in layout.names
+    ]
+    message = PointCloud2(
+        height=1, width=3, fields=fields, point_step=layout.itemsize, row_step=points.nbytes, is_dense=True
+    )
+    message.data = array.array("B", points.tobytes())
+    message.header.frame_id = "world"
+    for name, value in changes.items():
+        setattr(message, name, value)
+    return message
+
+
+NAMES = ["x", "y", "z", "probability"]
+PLAIN = np.dtype([(name, "<f4") for name in NAMES])
+
+
+@pytest.mark.parametrize(
+    ("layout", "bigendian"),
+    [
+        (PLAIN, False),
+        (np.dtype([(name, "<f8") for name in NAMES]), False),
+        (np.dtype([(name, ">f4") for name in NAMES]), True),
+        (np.dtype({"names": NAMES, "formats": ["<f4"] * 4, "offsets": [0, 4, 8, 16], "itemsize": 32}), False),
+        (np.dtype([("probability", "<f8"), ("seen", "u1"), ("z", "<f4"), ("y", "<f4"), ("x", "<f4")]), False),
+    ],
+    ids=["plain", "double", "big endian", "padded", "another order and one more field"],
+)
+def test_clouds_of_other_makers_are_read_by_their_fields(layout: np.dtype, bigendian: bool) -> None:  # type: ignore[type-arg]
+    occupancy = conversions.occupancy_from_cloud(cloud_of(layout, is_bigendian=bigendian), GRID, 0.0)
+    voxels = occupancy.probability.ravel()
+    assert (voxels[5], voxels[7], voxels.sum()) == (0.75, 0.5, 1.25)  # the larger of two counts
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"width": 400}, "400.* of 16 bytes.* 48 bytes in all"),
+        ({"width": 400, "row_step": 6400, "data": array.array("B")}, "400.* of 16 bytes.* 0 bytes in all"),
+        ({"width": 2, "row_step": 32}, "2 points.* 48 bytes in all"),
+        ({"height": 2}, "6 points .2 rows of 3."),
+        ({"point_step": 12, "row_step": 36, "data": array.array("B", bytes(36))}, "probability.* within a point of 12"),
+        ({"fields": []}, "got none"),
+        ({"fields": [PointField(name="x", datatype=7, count=1)]}, "wanted x, y, z, probability"),
+        ({"fields": [PointField(name=name, offset=4 * k, datatype=99, count=1) for k, name in enumerate(NAMES)]}, "99"),
+        (
+            {"fields": [PointField(name=name, offset=4 * k, datatype=7, count=3) for k, name in enumerate(NAMES)]},
+            "3 of",
+        ),
+        ({"fields": [PointField(name=n, datatype=7, count=1) for n in [*NAMES, "x"]]}, "each once"),
+        ({"header": Header(frame_id="kinect")}, "frame: wanted 'world', got 'kinect'"),
+        ({"header": Header()}, "frame: wanted 'world', got ''"),
+    ],
+)
+def test_clouds_that_cannot_be_trusted_name_what_differs(changes: dict[str, object], words: str) -> None:
+    with pytest.raises(ArrayError, match=words):
+        conversions.occupancy_from_cloud(cloud_of(PLAIN, **changes), GRID, 0.0)

@@ -28,7 +28,9 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.occupancy.predictor import PredictorRequest, make_predictor
+from humanpred_ros.planning.decision import Decision
 from humanpred_ros.planning.replanner import Replanner
+from humanpred_ros.planning.trajectory import TimedTrajectory
 from humanpred_ros.recognition.training import load_model
 from humanpred_ros.robot.scene import load_scene
 
@@ -158,6 +160,19 @@ def test_the_bag_is_complete_for_other_readers(run: Path) -> None:
     assert "<svg" in (run / "report.html").read_text(encoding="utf-8")
 
 
+class Sender(Replanner):
+    """Remembers what the node sends: what is left of the motion under way, and the new one after it."""
+
+    def respond(self, *arguments: Any) -> Decision:
+        if not hasattr(self, "sent"):
+            self.sent: list[TimedTrajectory] = []
+        decision = super().respond(*arguments)
+        if decision.trajectory is not None:
+            motion = self.motion_from(min(decision.stamp_s, decision.t_switch_s))
+            self.sent.append(motion.lasting_until(decision.stamp_s + 0.1))
+        return decision
+
+
 @pytest.mark.core
 def test_a_stepped_run_decides_as_the_library_called_directly(run: Path, bag: BagReader, motion: Motion) -> None:
     scene, human = load_scene(OPTIONS.scene), HumanModel.kinect12()
@@ -166,7 +181,7 @@ def test_a_stepped_run_decides_as_the_library_called_directly(run: Path, bag: Ba
         OPTIONS.predictor, PredictorRequest(human, scene.grid, scene.T_world_human, model, onsets=True)
     )
     settings = StompPlannerSettings(period_s=period_of(motion, OPTIONS.steps), seed=OPTIONS.seed, threads=1)
-    replanner = Replanner.for_scene(scene, settings.replanner_config())
+    replanner = Sender.for_scene(scene, settings.replanner_config())
     n_held = int(OPTIONS.hold_last_s / motion.period_s)
     direct = drive(replanner, scene.start, predicted(predictor, motion, OPTIONS.threshold, n_held), len(motion))
     over_dds = by_stamp(bag, topics.DECISION)
@@ -175,9 +190,8 @@ def test_a_stepped_run_decides_as_the_library_called_directly(run: Path, bag: Ba
     for decision, (stamp, message) in zip(direct, over_dds.items(), strict=True):
         assert facts_of(message) == facts_of(conversions.decision_message(decision, stamp, 0.0))
     sent = by_stamp(bag, topics.TRAJECTORY)
-    planned = [decision.trajectory for decision in direct if decision.trajectory is not None]
-    assert len(sent) == len(planned) >= 1
-    for trajectory, message in zip(planned, sent.values(), strict=True):
+    assert len(sent) == len(replanner.sent) >= 1
+    for trajectory, message in zip(replanner.sent, sent.values(), strict=True):
         expected = conversions.trajectory_message(replanner.joint_names, trajectory, origin_ns)
         assert conversions.stamp_ns(expected.header.stamp) == conversions.stamp_ns(message.header.stamp)
         for ours, theirs in zip(expected.points, message.points, strict=True):

@@ -11,6 +11,7 @@ import pytest
 from paths import REPOSITORY
 
 from humanpred_ros.bags.reader import BagReader
+from humanpred_ros.errors import ArrayError
 from humanpred_ros.evaluation.processes import free_domain_id
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
@@ -66,7 +67,17 @@ def posture(t_ns: int, q: np.ndarray = POSTURE, names: tuple[str, ...] = HUMAN.d
 def test_the_predictor_refuses_postures_by_name_and_goes_on(ros: Callable[..., Any]) -> None:
     node = ros(OccupancyPredictorNode, {"predictor": "current", "scene": "face_to_face"})
     published: list[int] = []
-    node.publisher.publish = lambda message: published.append(conversions.stamp_ns(message.header.stamp))
+    unknown: list[str] = []
+
+    def publish(message: Any) -> None:
+        if message.width:
+            published.append(conversions.stamp_ns(message.header.stamp))
+            return
+        with pytest.raises(ArrayError) as caught:
+            conversions.occupancy_from_cloud(message, SCENE.grid, 0.0)
+        unknown.append(str(caught.value))
+
+    node.publisher.publish = publish
     node.on_posture(posture(1 * NS))
     spoiled = POSTURE.copy()
     spoiled[3] = np.nan
@@ -77,9 +88,15 @@ def test_the_predictor_refuses_postures_by_name_and_goes_on(ros: Callable[..., A
     node.on_posture(posture(1 * NS + 3))
     assert published == [1 * NS, 1 * NS + 3]
     assert dict(node.refused) == {"not finite": 1, "missing joints": 1, "stamp not increasing": 2}
+    assert [text.split(":")[1].strip() for text in unknown] == ["not finite", "missing joints"]
     node.on_posture(posture(3 * NS))  # a silence longer than the restart gap: a new motion
     node.on_posture(posture(1 * NS))  # a jump back by more than that: the recording was started again
     assert published[2:] == [3 * NS, 1 * NS]
+    millimetres = POSTURE.copy()
+    millimetres[:3] *= 1000.0
+    node.on_posture(posture(1 * NS + 9, millimetres))
+    assert "in millimetres, perhaps" in unknown[-1]
+    assert node.refused["units"] == 1
 
 
 def cloud(t_ns: int, grid: VoxelGrid = SCENE.grid) -> Any:
