@@ -160,17 +160,11 @@ def wait_until_resting(group: NodeGroup) -> None:
 
 
 class PostureAnswer(NamedTuple):
-    """A posture and the occupancy that answered it.
+    """A posture and the occupancy that answered it."""
 
-    Attributes:
-        stamp_ns: of both.
-        sent_ns: when the posture was published.
-        heard_ns: when the recorder received the occupancy; None if there was none.
-    """
-
-    stamp_ns: int
-    sent_ns: int
-    heard_ns: int | None
+    stamp_ns: int  #: of both
+    sent_ns: int  #: when the posture was published
+    heard_ns: int | None  #: when the recorder received the occupancy; None if there was none
 
     @property
     def delay_ms(self) -> float:
@@ -192,23 +186,18 @@ def posture_answers(reader: BagReader) -> tuple[PostureAnswer, ...]:
 
 
 class Answers(NamedTuple):
-    """How long the answers of one run took, and what was not answered.
+    """How long the answers of one run took, and what was not answered."""
 
-    Attributes:
-        delays_ms: from a posture's publication: `occupancy_ms` of every posture, `step_ms` (to the decision) of every
-            replanning step, `trajectory_ms` of every step that sent one; `compute_ms`: what the planner itself says a
-            step took.
-        iterations: fewest STOMP iterations of a goal in each step, goals that were set aside left out; fewer than
-            asked for mean that time ran out or the goal was far too expensive.
-        counts: `steps` that were taken; `late`: whose plan came too late to be taken over; `skipped`: that were due
-            and not taken, because the planner was still busy with the one before; postures `unanswered`.
-        ready_s: from the start of the planner's process to its first word of being ready; NaN if it never was.
-    """
-
+    #: from a posture's publication: `occupancy_ms` of every posture, `step_ms` (to the decision) of every replanning
+    #: step, `trajectory_ms` of every step that sent one; `compute_ms`: what the planner itself says a step took
     delays_ms: Mapping[str, Sequence[float]]
+    #: fewest STOMP iterations of a goal in each step, goals that were set aside left out; fewer than asked for mean
+    #: that time ran out or the goal was far too expensive
     iterations: Sequence[int]
+    #: `steps` that were taken; `late`: whose plan came too late to be taken over; `skipped`: that were due and not
+    #: taken, because the planner was still busy with the one before; postures `unanswered`
     counts: Mapping[str, int]
-    ready_s: float
+    ready_s: float  #: from the start of the planner's process to its first word of being ready; NaN if it never was
 
 
 def answers_of(bag: Path, period_s: float, planner_started_ns: int) -> Answers:

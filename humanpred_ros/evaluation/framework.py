@@ -117,22 +117,15 @@ class LibrarySettings(EvaluationSettings):
 
 @dataclass(frozen=True)
 class Column:
-    """One figure of every record of a table.
+    """One figure of every record of a table."""
 
-    Attributes:
-        title: of the figure, without its unit.
-        of: where the figure stands in a record, as keys and numbers with / between ("timing/update_us", also its place
-            in the JSON file); or what returns it. None where a record has none.
-        spec: format of numbers, as in ".3f"; with % at its end, as in ".1%", shares are shown in percent.
-        unit: of the figure, "" if it has none.
-        factor: by which it is multiplied.
-    """
-
-    title: str
+    title: str  #: of the figure, without its unit
+    #: where the figure stands in a record, as keys and numbers with / between ("timing/update_us", also its place in
+    #: the JSON file); or what returns it. None where a record has none.
     of: str | Callable[[Any], Any]
-    spec: str = ""
-    unit: str = ""
-    factor: float = 1.0
+    spec: str = ""  #: format of numbers, as in ".3f"; with % at its end, as in ".1%", shares are shown in percent
+    unit: str = ""  #: of the figure, "" if it has none
+    factor: float = 1.0  #: by which it is multiplied
 
     def value(self, record: Any) -> Any:
         """Return the figure of a record, None if it has none."""
@@ -187,21 +180,14 @@ class Table:
 
 @dataclass(frozen=True)
 class Report:
-    """What an evaluation found.
+    """What an evaluation found."""
 
-    Attributes:
-        title: names the evaluation and what it was made with.
-        tables: for the screen and the CSV file.
-        figures: for the JSON file, by name; whatever `outputs.plain` takes. Settings and machine are added.
-        notes: what a reader must know besides, a sentence or more each.
-        draw: makes the plot; None if there is none.
-    """
-
-    title: str
-    tables: Sequence[Table]
+    title: str  #: names the evaluation and what it was made with
+    tables: Sequence[Table]  #: for the screen and the CSV file
+    #: for the JSON file, by name; whatever `outputs.plain` takes. Settings and machine are added.
     figures: dict[str, Any] = field(default_factory=dict)
-    notes: Sequence[str] = ()
-    draw: Callable[[], Figure] | None = None
+    notes: Sequence[str] = ()  #: what a reader must know besides, a sentence or more each
+    draw: Callable[[], Figure] | None = None  #: makes the plot; None if there is none
 
 
 def present(settings: AnySettings, console: Console, measure: Callable[[AnySettings, Begin], Report]) -> int:

@@ -91,16 +91,11 @@ def at_speed(motion: Motion, speed: float) -> Motion:
 
 
 class Needs(NamedTuple):
-    """What must be in a library for motions to be left out of it; every motion needs a class in any case.
+    """What must be in a library for motions to be left out of it; every motion needs a class in any case."""
 
-    Attributes:
-        n_classes, why_classes: the least number of classes, and what for.
-        n_motions, why_motions: the least number of motions in every class, and what for.
-    """
-
-    n_classes: int
+    n_classes: int  #: the least number of classes, and what for
     why_classes: str
-    n_motions: int
+    n_motions: int  #: the least number of motions in every class, and what for
     why_motions: str
 
     def lacking(self, library: MotionLibrary) -> str | None:
@@ -184,29 +179,20 @@ class LeaveOneOut:
     `forecast` only the trees that learned from the motion are grown anew. `reaching` learns from no motion of the
     left-out one's class. The class's place is among those it is given, as a scene would state it: where the other
     motions of the class end. All other predictors are trained anew, which takes as long as that takes.
-
-    Attributes:
-        predictor: its name.
-        library: of which one motion at a time is left out; a motion that is not in it need not be.
-        human: whose body occupies.
-        grid: the lattice, world frame.
-        T_world_human: (4, 4) from the library's frame to the world.
-        classifier: name of the classifier that recognises the class.
-        gmm: settings of P1's mixtures; also those that its swept volumes are regressed from.
-        T_shift: (4, 4) how the tested people are moved in the library's frame. Only given places move with them; what
-            was learned stays where it was.
-        shared: False trains everything anew for each motion.
     """
 
-    predictor: str
-    library: MotionLibrary
-    human: HumanModel
-    grid: VoxelGrid
-    T_world_human: FloatArray
-    classifier: str = "gmm"
+    predictor: str  #: its name
+    library: MotionLibrary  #: of which one motion at a time is left out; a motion that is not in it need not be
+    human: HumanModel  #: whose body occupies
+    grid: VoxelGrid  #: the lattice, world frame
+    T_world_human: FloatArray  #: (4, 4) from the library's frame to the world
+    classifier: str = "gmm"  #: name of the classifier that recognises the class
+    #: settings of P1's mixtures; also those that its swept volumes are regressed from
     gmm: GmmSettings = field(default_factory=GmmSettings)
+    #: (4, 4) how the tested people are moved in the library's frame. Only given places move with them; what was learned
+    #: stays where it was.
     T_shift: FloatArray = field(default_factory=lambda: np.eye(4))
-    shared: bool = True
+    shared: bool = True  #: False trains everything anew for each motion
 
     def without(self, name: str) -> Predictor:
         """Return the predictor trained without the motion `name` (`class/index`); raises what training raises."""

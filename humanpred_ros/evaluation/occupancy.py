@@ -131,28 +131,17 @@ class LeftOutMotions:
     """Shows one motion at a time to predictors that have not learned from it; called with its name.
 
     Can be sent to other processes; what is learned from all motions is made there, once.
-
-    Attributes:
-        settings: how.
-        library: of which motions are tested.
-        learned_from: the motions that may be learned from.
-        human: whose body occupies.
-        grid: the lattice, world frame.
-        T_world_human: (4, 4) from the library's frame to the world.
-        T_shift: (4, 4) moves the people of the test motions, in the library's frame; training motions stay.
-        region: (V,) flat booleans, the voxels over which scores are means.
-        picture: (motion, percent) of which a picture is wanted.
     """
 
-    settings: OccupancySettings
-    library: MotionLibrary
-    learned_from: MotionLibrary
-    human: HumanModel
-    grid: VoxelGrid
-    T_world_human: FloatArray
-    T_shift: FloatArray
-    region: NDArray[np.bool_]
-    picture: tuple[str, int]
+    settings: OccupancySettings  #: how
+    library: MotionLibrary  #: of which motions are tested
+    learned_from: MotionLibrary  #: the motions that may be learned from
+    human: HumanModel  #: whose body occupies
+    grid: VoxelGrid  #: the lattice, world frame
+    T_world_human: FloatArray  #: (4, 4) from the library's frame to the world
+    T_shift: FloatArray  #: (4, 4) moves the people of the test motions, in the library's frame; training motions stay
+    region: NDArray[np.bool_]  #: (V,) flat booleans, the voxels over which scores are means
+    picture: tuple[str, int]  #: (motion, percent) of which a picture is wanted
 
     def __call__(self, name: str) -> list[tuple[Played, Played | None, float]]:
         """Run one motion. Raises what training raises.

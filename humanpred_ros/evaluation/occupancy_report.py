@@ -53,18 +53,13 @@ _COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """The moment of one motion that is drawn from above.
+    """The moment of one motion that is drawn from above."""
 
-    Attributes:
-        title: which motion, how much of it was seen.
-        pictures: (2, X, Y) by predictor, the highest value in each column of voxels: 1 where the body is from then on,
-            and the predicted probability.
-        grid: the lattice.
-    """
-
-    title: str
+    title: str  #: which motion, how much of it was seen
+    #: (2, X, Y) by predictor, the highest value in each column of voxels: 1 where the body is from then on, and the
+    #: predicted probability
     pictures: Mapping[str, NDArray[np.float32]]
-    grid: VoxelGrid
+    grid: VoxelGrid  #: the lattice
 
 
 def report_of(figures: dict[str, Any], moment: Moment | None) -> Report:

@@ -197,19 +197,13 @@ def _mean_of_finite(values: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Played:
-    """What a predictor made of one motion that it had not learned from.
+    """What a predictor made of one motion that it had not learned from."""
 
-    Attributes:
-        scores: of the prediction after each percentage of the motion (`voxel_scores`).
-        table: calibration counts of these predictions together (`reliability`).
-        log: of the updates.
-        picture: (2, X, Y) what is swept and what is predicted, the highest value in each column of voxels; None unless
-            this is the motion to draw.
-    """
-
-    scores: list[dict[str, float]]
-    table: FloatArray
-    log: UpdateLog
+    scores: list[dict[str, float]]  #: of the prediction after each percentage of the motion (`voxel_scores`)
+    table: FloatArray  #: calibration counts of these predictions together (`reliability`)
+    log: UpdateLog  #: of the updates
+    #: (2, X, Y) what is swept and what is predicted, the highest value in each column of voxels; None unless this is
+    #: the motion to draw
     picture: NDArray[np.float32] | None
 
 

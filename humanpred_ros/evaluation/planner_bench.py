@@ -236,15 +236,10 @@ class Lookup(NamedTuple):
 
 @dataclass(frozen=True)
 class Yardstick:
-    """The compiled yardstick: what one lookup costs at least on this machine, measured beside our own times.
+    """The compiled yardstick: what one lookup costs at least on this machine, measured beside our own times."""
 
-    Attributes:
-        program: the executable, None if there is none.
-        missing: why not.
-    """
-
-    program: Path | None
-    missing: str = ""
+    program: Path | None  #: the executable, None if there is none
+    missing: str = ""  #: why not
 
     @classmethod
     def compiled(cls, source: Path | None, folder: Path, compiler: str = "g++") -> Yardstick:

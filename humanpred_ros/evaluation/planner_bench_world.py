@@ -70,21 +70,13 @@ class Workload(Settings):
 
 @dataclass(frozen=True, eq=False)
 class BenchWorld:
-    """Everything a workload is planned with.
+    """Everything a workload is planned with."""
 
-    Attributes:
-        workload: how much there is to plan.
-        planner: ours, with obstacle, human occupancy and smoothness as its cost terms.
-        paths: (N, 7) straight line to each goal.
-        arm: the PR2's.
-        human, obstacle: two of the cost terms.
-    """
-
-    workload: Workload
-    planner: StompPlanner
-    paths: tuple[FloatArray, ...]
-    arm: Pr2Arm
-    human: HumanOccupancyCost
+    workload: Workload  #: how much there is to plan
+    planner: StompPlanner  #: ours, with obstacle, human occupancy and smoothness as its cost terms
+    paths: tuple[FloatArray, ...]  #: (N, 7) straight line to each goal
+    arm: Pr2Arm  #: the PR2's
+    human: HumanOccupancyCost  #: two of the cost terms
     obstacle: ObstacleCost
 
 

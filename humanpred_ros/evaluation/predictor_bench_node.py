@@ -52,17 +52,11 @@ _SECONDS, _SETTLING_S = 12.0, 2.0
 
 @dataclass(frozen=True, eq=False)
 class People:
-    """A library in two parts, and what is learned from the first.
+    """A library in two parts, and what is learned from the first."""
 
-    Attributes:
-        human_name: whose postures these are.
-        training: what is learned from.
-        played: what is played.
-    """
-
-    human_name: str
-    training: MotionLibrary
-    played: tuple[Motion, ...]
+    human_name: str  #: whose postures these are
+    training: MotionLibrary  #: what is learned from
+    played: tuple[Motion, ...]  #: what is played
 
     @classmethod
     def of(cls, library: MotionLibrary, n_played: int) -> People:

@@ -74,14 +74,10 @@ class NodeGroup:
 
     The nodes get sessions of their own, so that a Ctrl-C in the terminal reaches the parent alone and the
     parent ends them in order; the kernel ends them should the parent be killed.
-
-    Attributes:
-        log_directory: one `<node>.log` each.
-        domain_id: ROS_DOMAIN_ID of the group.
     """
 
-    log_directory: Path
-    domain_id: int
+    log_directory: Path  #: one `<node>.log` each
+    domain_id: int  #: ROS_DOMAIN_ID of the group
     nodes: list[NodeProcess] = field(default_factory=list)
 
     def start(self, node: str, parameters: Mapping[str, ParameterValue]) -> NodeProcess:

@@ -140,17 +140,12 @@ class RecognitionSettings(LibrarySettings):
 
 
 class Trace(NamedTuple):
-    """What a classifier said while one motion was shown to it.
+    """What a classifier said while one motion was shown to it."""
 
-    Attributes:
-        known: (100, C) at each percent, the probabilities given that the motion belongs to a class it learned.
-        unknown: (100,) the probability of no class.
-        log: of the updates.
-    """
-
+    #: (100, C) at each percent, the probabilities given that the motion belongs to a class it learned
     known: FloatArray
-    unknown: FloatArray
-    log: UpdateLog
+    unknown: FloatArray  #: (100,) the probability of no class
+    log: UpdateLog  #: of the updates
 
 
 def play(classifier: Classifier, motion: Motion, labels: Sequence[int]) -> Trace:
@@ -179,16 +174,11 @@ class LeftOutRuns:
 
     A task is "motion 3/7" (learn without this motion, then recognise it) or "class 3" (learn without this class, then
     see what is said about its motions).
-
-    Attributes:
-        choice: the classifier.
-        library: of which motions and classes are left out.
-        speeds: at which motions are played besides the recorded one, as factors of it.
     """
 
-    choice: ClassifierChoice
-    library: MotionLibrary
-    speeds: tuple[float, ...] = ()
+    choice: ClassifierChoice  #: the classifier
+    library: MotionLibrary  #: of which motions and classes are left out
+    speeds: tuple[float, ...] = ()  #: at which motions are played besides the recorded one, as factors of it
 
     def __call__(self, task: str) -> tuple[list[Trace], float | None, float]:
         """Run one task. Raises what the classifier's fit raises.

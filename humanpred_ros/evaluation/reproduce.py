@@ -20,16 +20,11 @@ _MACHINE_FACTS = {"compute_ms"}
 
 @dataclass(frozen=True)
 class Comparison:
-    """Decisions and trajectories of two runs, matched by stamp.
+    """Decisions and trajectories of two runs, matched by stamp."""
 
-    Attributes:
-        n_decisions, n_trajectories: how many the first run has.
-        differing: what differs, in words, in time order; empty if the second run reproduces the first.
-    """
-
-    n_decisions: int
+    n_decisions: int  #: how many the first run has
     n_trajectories: int
-    differing: tuple[str, ...]
+    differing: tuple[str, ...]  #: what differs, in words, in time order; empty if the second run reproduces the first
 
 
 def replay_run(folder: Path, out: Path) -> Comparison:

@@ -38,22 +38,14 @@ _STOP_S = 0.2
 
 @dataclass(frozen=True)
 class Placed:
-    """A motion within a stream.
+    """A motion within a stream."""
 
-    Attributes:
-        name: of the recorded motion, `class/index`; a made return has the name of the motion before it.
-        label: class of the recorded motion.
-        made: True for a return that is not recorded.
-        start_s, stop_s: the recorded (or made) piece's first and last stamp in the stream.
-        onset_s, end_s: when the palm really moves (`motion_span`), in the stream.
-    """
-
-    name: str
-    label: int | None
-    made: bool
-    start_s: float
+    name: str  #: of the recorded motion, `class/index`; a made return has the name of the motion before it
+    label: int | None  #: class of the recorded motion
+    made: bool  #: True for a return that is not recorded
+    start_s: float  #: the recorded (or made) piece's first and last stamp in the stream
     stop_s: float
-    onset_s: float
+    onset_s: float  #: when the palm really moves (`motion_span`), in the stream
     end_s: float
 
 
@@ -84,23 +76,14 @@ def standing_stream(posture: FloatArray, duration_s: float, noise: StandingNoise
 
 @dataclass(eq=False)
 class StreamBuilder:
-    """Makes one stream of motions: appends pieces one after the other.
+    """Makes one stream of motions: appends pieces one after the other."""
 
-    Attributes:
-        human: tells where the palm is.
-        noise: of standing.
-        rng: draws pauses and noise.
-        come_back: the motions return by themselves (`returns_home`).
-        pause_s: a pause is uniform in this range.
-        lead_s: standing before the first motion and after the last, at least.
-    """
-
-    human: HumanModel
-    noise: StandingNoise
-    rng: np.random.Generator
-    come_back: bool
-    pause_s: tuple[float, float] = PAUSE_S
-    lead_s: float = LEAD_S
+    human: HumanModel  #: tells where the palm is
+    noise: StandingNoise  #: of standing
+    rng: np.random.Generator  #: draws pauses and noise
+    come_back: bool  #: the motions return by themselves (`returns_home`)
+    pause_s: tuple[float, float] = PAUSE_S  #: a pause is uniform in this range
+    lead_s: float = LEAD_S  #: standing before the first motion and after the last, at least
 
     def build(self, motions: Sequence[Motion]) -> Stream:
         """Return one stream of the motions, in their order.

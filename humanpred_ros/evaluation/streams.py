@@ -52,19 +52,12 @@ PERCENTS = (20, 40, 60, 80, 100)
 
 
 class Variant(NamedTuple):
-    """How a stream differs from the recordings.
+    """How a stream differs from the recordings."""
 
-    Attributes:
-        name: for tables.
-        slower: stamps are this many times as far apart.
-        least_step_s: frames sooner after the last one are dropped; 0 keeps all.
-        mixed: pauses have the noise of all rounds instead of this round's.
-    """
-
-    name: str
-    slower: float = 1.0
-    least_step_s: float = 0.0
-    mixed: bool = False
+    name: str  #: for tables
+    slower: float = 1.0  #: stamps are this many times as far apart
+    least_step_s: float = 0.0  #: frames sooner after the last one are dropped; 0 keeps all
+    mixed: bool = False  #: pauses have the noise of all rounds instead of this round's
 
 
 #: The first is the one that figures without a name are of.
@@ -93,14 +86,11 @@ class StreamRuns:
     """Makes streams of one round and looks at what is announced on them; called with the round's index.
 
     Can be sent to other processes.
-
-    Attributes:
-        library: whose motions with one index are one round.
-        settings: classifier, seed (of pauses, noise and order; each round has its own generator), and how much mere
-            standing there is in all rounds together.
     """
 
-    library: MotionLibrary
+    library: MotionLibrary  #: whose motions with one index are one round
+    #: classifier, seed (of pauses, noise and order; each round has its own generator), and how much mere standing there
+    #: is in all rounds together
     settings: StreamSettings
 
     def __call__(self, index: int) -> dict[str, Any]:

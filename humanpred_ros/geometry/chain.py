@@ -26,31 +26,21 @@ class KinematicChain:
 
     The frame after joint j is `frame before . translation(origin j) . rotation j . rot(axis j, q j)`.
 
-    Attributes:
-        joint_names: J names, from the root outwards.
-        joint_origin_m: (J, 3) translation from the previous joint's frame (the root for the first).
-        joint_rotation: (J, 3, 3) fixed rotation from the previous joint's frame at zero (identity on the PR2).
-        joint_axis: (J, 3) unit rotation axes in the joints' own frames.
-        T_world_root: (4, 4) frame in which the first origin is expressed.
-        T_last_tool: (4, 4) tool frame in the last joint's frame.
-        lower, upper: (J,) limits in rad, -inf and inf where the joint turns without end.
-        continuous: (J,) true where the joint turns without end.
-        velocity_limit: (J,) rad/s.
-
     Raises:
         ArrayError: for shapes that disagree, axes that are not unit, rotations that are not rotations.
     """
 
-    joint_names: tuple[str, ...]
-    joint_origin_m: FloatArray
+    joint_names: tuple[str, ...]  #: J names, from the root outwards
+    joint_origin_m: FloatArray  #: (J, 3) translation from the previous joint's frame (the root for the first)
+    #: (J, 3, 3) fixed rotation from the previous joint's frame at zero (identity on the PR2)
     joint_rotation: FloatArray
-    joint_axis: FloatArray
-    T_world_root: FloatArray
-    T_last_tool: FloatArray
-    lower: FloatArray
+    joint_axis: FloatArray  #: (J, 3) unit rotation axes in the joints' own frames
+    T_world_root: FloatArray  #: (4, 4) frame in which the first origin is expressed
+    T_last_tool: FloatArray  #: (4, 4) tool frame in the last joint's frame
+    lower: FloatArray  #: (J,) limits in rad, -inf and inf where the joint turns without end
     upper: FloatArray
-    continuous: NDArray[np.bool_]
-    velocity_limit: FloatArray
+    continuous: NDArray[np.bool_]  #: (J,) true where the joint turns without end
+    velocity_limit: FloatArray  #: (J,) rad/s
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
@@ -141,16 +131,12 @@ class KinematicChain:
 class BodyPoints:
     """Points on the surface of the moving bodies.
 
-    Attributes:
-        link: (P,) index of the joint the point moves with.
-        local_m: (P, 3) position in that joint's frame.
-
     Raises:
         ArrayError: for arrays that do not fit each other, or a negative index.
     """
 
-    link: NDArray[np.int64]
-    local_m: FloatArray
+    link: NDArray[np.int64]  #: (P,) index of the joint the point moves with
+    local_m: FloatArray  #: (P, 3) position in that joint's frame
 
     def __post_init__(self) -> None:
         link = np.asarray(self.link, dtype=np.int64)

@@ -28,19 +28,12 @@ _BOX_TRIANGLES = np.array([corners for a, b, c, d in _BOX_SIDES for corners in (
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """One collision solid, fixed to a link.
+    """One collision solid, fixed to a link."""
 
-    Attributes:
-        name: the collision element's name, or the link's if it has none.
-        link: name of the link it moves with.
-        shape: the solid in its own frame.
-        T_link_body: (4, 4) pose of that frame in the link.
-    """
-
-    name: str
-    link: str
-    shape: Shape
-    T_link_body: FloatArray
+    name: str  #: the collision element's name, or the link's if it has none
+    link: str  #: name of the link it moves with
+    shape: Shape  #: the solid in its own frame
+    T_link_body: FloatArray  #: (4, 4) pose of that frame in the link
 
     @property
     def triangles(self) -> FloatArray:
@@ -85,42 +78,25 @@ class Mimic(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Description:
-    """A tree of links, joints and collision solids. Joint number 0 is the root, joint j of the arrays has number j + 1.
+    """A tree of links, joints and collision solids. Joint 0 is the root, joint j of the arrays has number j + 1."""
 
-    Attributes:
-        name: the robot's name in the URDF.
-        joint_names: J names of the joints that move, a parent always before its children.
-        kind: J URDF types: revolute, continuous, prismatic, floating or planar. The last two are kept at zero.
-        parent: (J,) number of the joint before.
-        T_parent_joint: (J, 4, 4) pose of each joint at zero in the joint before.
-        axis: (J, 3) unit axes in the joints' own frames.
-        lower, upper: (J,) limits in rad or m, -inf and inf for continuous joints.
-        velocity_limit: (J,) rad/s or m/s, inf where the URDF states none.
-        mimic: joints that follow others, by name.
-        link_names: L names, the root first, a parent always before its children.
-        link_joint: (L,) number of the joint each link is fixed to.
-        T_joint_link: (L, 4, 4) pose of each link in that joint.
-        bodies: the collision solids, in the order of the file.
-        meshes: the collision meshes, in the same order.
-        files: name, size and time of change (ns) of each mesh that was read.
-    """
-
-    name: str
-    joint_names: tuple[str, ...]
+    name: str  #: the robot's name in the URDF
+    joint_names: tuple[str, ...]  #: J names of the joints that move, a parent always before its children
+    #: J URDF types: revolute, continuous, prismatic, floating or planar. The last two are kept at zero.
     kind: tuple[str, ...]
-    parent: NDArray[np.int64]
-    T_parent_joint: FloatArray
-    axis: FloatArray
-    lower: FloatArray
+    parent: NDArray[np.int64]  #: (J,) number of the joint before
+    T_parent_joint: FloatArray  #: (J, 4, 4) pose of each joint at zero in the joint before
+    axis: FloatArray  #: (J, 3) unit axes in the joints' own frames
+    lower: FloatArray  #: (J,) limits in rad or m, -inf and inf for continuous joints
     upper: FloatArray
-    velocity_limit: FloatArray
-    mimic: Mapping[str, Mimic]
-    link_names: tuple[str, ...]
-    link_joint: NDArray[np.int64]
-    T_joint_link: FloatArray
-    bodies: tuple[Body, ...]
-    meshes: tuple[MeshBody, ...] = ()
-    files: tuple[tuple[str, int, int], ...] = ()
+    velocity_limit: FloatArray  #: (J,) rad/s or m/s, inf where the URDF states none
+    mimic: Mapping[str, Mimic]  #: joints that follow others, by name
+    link_names: tuple[str, ...]  #: L names, the root first, a parent always before its children
+    link_joint: NDArray[np.int64]  #: (L,) number of the joint each link is fixed to
+    T_joint_link: FloatArray  #: (L, 4, 4) pose of each link in that joint
+    bodies: tuple[Body, ...]  #: the collision solids, in the order of the file
+    meshes: tuple[MeshBody, ...] = ()  #: the collision meshes, in the same order
+    files: tuple[tuple[str, int, int], ...] = ()  #: name, size and time of change (ns) of each mesh that was read
 
     @property
     def collisions(self) -> tuple[Body | MeshBody, ...]:
@@ -206,18 +182,13 @@ class Description:
 class PlacedDescription:
     """A robot that stands somewhere with some joints set and every other joint at zero.
 
-    Attributes:
-        description: what the URDF says.
-        T_world_base: (4, 4) pose of the root link.
-        values: rad or m of the joints that are not at zero.
-
     Raises:
         UsageError: if a joint is unknown.
     """
 
-    description: Description
-    T_world_base: FloatArray
-    values: Mapping[str, float]
+    description: Description  #: what the URDF says
+    T_world_base: FloatArray  #: (4, 4) pose of the root link
+    values: Mapping[str, float]  #: rad or m of the joints that are not at zero
 
     @cached_property
     def _links(self) -> FloatArray:

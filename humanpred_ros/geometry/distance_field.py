@@ -22,17 +22,11 @@ DEFAULT_RESOLUTION_M = 0.025
 
 @dataclass(frozen=True, eq=False)
 class SignedDistanceField:
-    """Signed distances at the nodes of an axis-aligned lattice.
+    """Signed distances at the nodes of an axis-aligned lattice."""
 
-    Attributes:
-        origin_m: (3,) position of node (0, 0, 0), world frame.
-        resolution_m: distance between neighbouring nodes.
-        values: (nx, ny, nz) float32, contiguous, metres, negative inside an obstacle.
-    """
-
-    origin_m: FloatArray
-    resolution_m: float
-    values: NDArray[np.float32]
+    origin_m: FloatArray  #: (3,) position of node (0, 0, 0), world frame
+    resolution_m: float  #: distance between neighbouring nodes
+    values: NDArray[np.float32]  #: (nx, ny, nz) float32, contiguous, metres, negative inside an obstacle
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "origin_m", frozen(checked("distance field origin", self.origin_m, (3,))))

@@ -28,15 +28,10 @@ ROTATION, TURNED, KIND, SIGN, AXIS, FIRST, LAST, BOUND, COLUMNS = 3, 12, 13, 14,
 
 
 class Joints(NamedTuple):
-    """J joints as kernels want them; a parent comes before its children.
+    """J joints as kernels want them; a parent comes before its children."""
 
-    Attributes:
-        parent: (J,) number of the joint before: 0 for the root, j + 1 for joint j.
-        table: (J, COLUMNS) float64, a row per joint; lengths in metres.
-    """
-
-    parent: NDArray[np.int64]
-    table: FloatArray
+    parent: NDArray[np.int64]  #: (J,) number of the joint before: 0 for the root, j + 1 for joint j
+    table: FloatArray  #: (J, COLUMNS) float64, a row per joint; lengths in metres
 
     @classmethod
     def of(cls, parent: ArrayLike, T_parent_joint: FloatArray, axis: FloatArray, slides: ArrayLike) -> Joints:
@@ -75,16 +70,11 @@ class FlatChain(NamedTuple):
     """A chain and points fixed to it in single precision, for kernels that plan.
 
     Positions come out in cells of a lattice: `(world - lattice origin) / resolution`.
-
-    Attributes:
-        root: (12,) rotation (row by row) and translation of the root, in cells.
-        joints: (J, COLUMNS) a row per joint, columns as named in `chain_kernels`; lengths in metres.
-        points: (P, 4) position in the joint's frame and radius (zero for plain points), metres, by joint.
     """
 
-    root: Float32Array
-    joints: Float32Array
-    points: Float32Array
+    root: Float32Array  #: (12,) rotation (row by row) and translation of the root, in cells
+    joints: Float32Array  #: (J, COLUMNS) a row per joint, columns as named in `chain_kernels`; lengths in metres
+    points: Float32Array  #: (P, 4) position in the joint's frame and radius (zero for plain points), metres, by joint
 
 
 def flatten(

@@ -13,17 +13,11 @@ from humanpred_ros.geometry.checks import FloatArray, checked
 
 @dataclass(frozen=True)
 class VoxelGrid:
-    """An axis-aligned lattice of cubic voxels in the world frame.
+    """An axis-aligned lattice of cubic voxels in the world frame."""
 
-    Attributes:
-        origin_m: lower corner of the first voxel, world frame.
-        resolution_m: edge length of a voxel.
-        shape: number of voxels along x, y, z; flat indices run z fastest (C order).
-    """
-
-    origin_m: tuple[float, float, float]
-    resolution_m: float
-    shape: tuple[int, int, int]
+    origin_m: tuple[float, float, float]  #: lower corner of the first voxel, world frame
+    resolution_m: float  #: edge length of a voxel
+    shape: tuple[int, int, int]  #: number of voxels along x, y, z; flat indices run z fastest (C order)
 
     def __post_init__(self) -> None:
         origin = checked("grid origin", self.origin_m, (3,))

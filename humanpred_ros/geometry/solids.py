@@ -157,17 +157,13 @@ def cylinder(radius_m: float, height_m: float) -> EllipticCylinder:
 class Obstacle:
     """A solid that stands somewhere, with the name that messages call it by.
 
-    Attributes:
-        name, shape: as said.
-        T_world_shape: (4, 4) pose of the solid's frame.
-
     Raises:
         ArrayError: for a pose that is not rigid.
     """
 
-    name: str
+    name: str  #: as said
     shape: Shape
-    T_world_shape: FloatArray
+    T_world_shape: FloatArray  #: (4, 4) pose of the solid's frame
 
     def __post_init__(self) -> None:
         T = checked(f"pose of {self.name}", self.T_world_shape, (4, 4))

@@ -48,15 +48,10 @@ class PlausibilitySettings(Settings):
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a posture is not believed.
+    """Why a posture is not believed."""
 
-    Attributes:
-        kind: a word or two, to count by: "units", "joint limit", "outside the lattice", "jump", "frozen".
-        detail: what was wanted and what came.
-    """
-
-    kind: str
-    detail: str
+    kind: str  #: a word or two, to count by: "units", "joint limit", "outside the lattice", "jump", "frozen"
+    detail: str  #: what was wanted and what came
 
     def __str__(self) -> str:
         return f"{self.kind}: {self.detail}"

@@ -32,21 +32,13 @@ NEVER_CERTAIN = np.float32(1.0 - 2.0**-10)
 
 
 class Ways(NamedTuple):
-    """Poses of P parts in K motions, library frame, as compiled code takes them.
+    """Poses of P parts in K motions, library frame, as compiled code takes them."""
 
-    Attributes:
-        present: (M, P, 3, 4) poses in the exemplar postures.
-        pose: (N, 3, 4) poses on the way, motion by motion, and part by part within a motion.
-        moment: (N,) when in its motion each of these is passed, `MOMENTS` to an exemplar posture.
-        first: (K, P + 1) where the poses of each motion and part begin, and where the last part's end.
-        begin: (K + 1,) where each motion's exemplar postures begin.
-    """
-
-    present: Float32Array
-    pose: Float32Array
-    moment: NDArray[np.int64]
-    first: NDArray[np.int64]
-    begin: NDArray[np.int64]
+    present: Float32Array  #: (M, P, 3, 4) poses in the exemplar postures
+    pose: Float32Array  #: (N, 3, 4) poses on the way, motion by motion, and part by part within a motion
+    moment: NDArray[np.int64]  #: (N,) when in its motion each of these is passed, `MOMENTS` to an exemplar posture
+    first: NDArray[np.int64]  #: (K, P + 1) where the poses of each motion and part begin, and where the last part's end
+    begin: NDArray[np.int64]  #: (K + 1,) where each motion's exemplar postures begin
 
 
 @exact

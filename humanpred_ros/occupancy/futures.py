@@ -33,19 +33,13 @@ _GOLDEN_RATIO = 0.5 * (5.0**0.5 - 1.0)
 
 @dataclass(frozen=True, eq=False)
 class BodyParts:
-    """The body's surface in P parts, each dealt out to R rounds that cover it thinly.
+    """The body's surface in P parts, each dealt out to R rounds that cover it thinly."""
 
-    Attributes:
-        link: (P,) number of the link in whose frame each part's points are.
-        points: coordinates x, y, z, each (N,), part after part, and round after round within a part.
-        first: (P, R + 1) where each part's rounds begin, and where its last one ends.
-        corners_m: (P, 8, 3) of the box around each part's points; the first and the last are opposite.
-    """
-
-    link: NDArray[np.int64]
+    link: NDArray[np.int64]  #: (P,) number of the link in whose frame each part's points are
+    #: coordinates x, y, z, each (N,), part after part, and round after round within a part
     points: tuple[Float32Array, Float32Array, Float32Array]
-    first: NDArray[np.int64]
-    corners_m: FloatArray
+    first: NDArray[np.int64]  #: (P, R + 1) where each part's rounds begin, and where its last one ends
+    corners_m: FloatArray  #: (P, 8, 3) of the box around each part's points; the first and the last are opposite
 
     @classmethod
     def of(cls, human: HumanModel, spacing_m: float, n_rounds: int) -> BodyParts:
@@ -91,17 +85,11 @@ def rigid_parts(human: HumanModel) -> tuple[NDArray[np.int64], FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class RecordedFutures:
-    """The ways the body's parts went in every motion of a library.
+    """The ways the body's parts went in every motion of a library."""
 
-    Attributes:
-        ways: the poses.
-        label: (M,) number of each exemplar posture's class.
-        n_classes: C.
-    """
-
-    ways: Ways
-    label: NDArray[np.int64]
-    n_classes: int
+    ways: Ways  #: the poses
+    label: NDArray[np.int64]  #: (M,) number of each exemplar posture's class
+    n_classes: int  #: C
 
     @classmethod
     def of(cls, exemplars: Exemplars, human: HumanModel, parts: BodyParts, step_m: float) -> RecordedFutures:

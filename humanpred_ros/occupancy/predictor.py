@@ -45,33 +45,23 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False)
 class PredictorRequest:
-    """All that a predictor can be made from; each takes what it needs.
+    """All that a predictor can be made from; each takes what it needs."""
 
-    Attributes:
-        human: whose body occupies.
-        grid: the lattice, world frame.
-        T_world_human: (4, 4) rigid transform from the tracker's frame to the world.
-        model: what was learned; the baselines need none.
-        classifier: name of the classifier that recognises the class, for predictors that ask one.
-        classifier_settings: settings of that classifier that differ from those trained with
-            (`Classifier.online_settings`).
-        onsets: the postures are those of a person who mostly stands: find where motions begin and end, and recognise
-            each anew (`StreamClassifier`). Without it, the first posture after `start` begins a motion.
-        settings: of the predictor, of its `settings_type`; the default ones if None.
-        places: where the palm may go, (3,) by label, tracker's frame; those of the model's classes if None.
-        obstacles: what stands in a reach's way, world frame.
-    """
-
-    human: HumanModel
-    grid: VoxelGrid
-    T_world_human: ArrayLike
-    model: TrainedModel | None = None
+    human: HumanModel  #: whose body occupies
+    grid: VoxelGrid  #: the lattice, world frame
+    T_world_human: ArrayLike  #: (4, 4) rigid transform from the tracker's frame to the world
+    model: TrainedModel | None = None  #: what was learned; the baselines need none
+    #: name of the classifier that recognises the class, for predictors that ask one
     classifier: str = DEFAULT_CLASSIFIER
+    #: settings of that classifier that differ from those trained with (`Classifier.online_settings`)
     classifier_settings: Mapping[str, object] = field(default_factory=dict)
+    #: the postures are those of a person who mostly stands: find where motions begin and end, and recognise each anew
+    #: (`StreamClassifier`). Without it, the first posture after `start` begins a motion.
     onsets: bool = False
-    settings: Settings | None = None
+    settings: Settings | None = None  #: of the predictor, of its `settings_type`; the default ones if None
+    #: where the palm may go, (3,) by label, tracker's frame; those of the model's classes if None
     places: Mapping[int, ArrayLike] | None = None
-    obstacles: Sequence[Obstacle] = ()
+    obstacles: Sequence[Obstacle] = ()  #: what stands in a reach's way, world frame
 
     def trained_model(self) -> TrainedModel:
         """Return the model (UsageError without one)."""

@@ -25,44 +25,26 @@ MISSED = "missed"
 
 @dataclass(frozen=True, eq=False)
 class GoalReport:
-    """The best path found to one goal in one replanning step.
+    """The best path found to one goal in one replanning step."""
 
-    Attributes:
-        name: the goal's.
-        cost: weighted share of each cost term, summed over waypoints.
-        total: sum of the shares.
-        human: human occupancy cost (unweighted) integrated over the path, in configuration distance.
-        length: of the path, in configuration distance.
-        selection_cost: what goals are compared by.
-        rest: human occupancy cost (unweighted) of the last waypoint, where the arm would stay.
-        task_cost: of the goal itself.
-        alternative: which of the goal's configurations the path leads to.
-        path: (N, D) waypoints, from where the robot will be to the goal, rad.
-        valid: whether every waypoint is allowed.
-        reason: why it is not; empty if it is.
-        iterations: STOMP updates done; 0 where no plan was needed.
-        warm_start: where the first path came from: "straight", "executing", a `Reconnection.kind`, or
-            "arrived" where the robot is at the goal.
-        set_aside: why the goal is not considered in this step whatever its path costs; empty if it is.
-        revived: whether it was set aside in the step before and is no more.
-    """
-
-    name: str
-    cost: Mapping[str, float]
-    total: float
-    human: float
-    length: float
-    selection_cost: float
-    path: FloatArray
-    valid: bool
-    reason: str
-    iterations: int
+    name: str  #: the goal's
+    cost: Mapping[str, float]  #: weighted share of each cost term, summed over waypoints
+    total: float  #: sum of the shares
+    human: float  #: human occupancy cost (unweighted) integrated over the path, in configuration distance
+    length: float  #: of the path, in configuration distance
+    selection_cost: float  #: what goals are compared by
+    path: FloatArray  #: (N, D) waypoints, from where the robot will be to the goal, rad
+    valid: bool  #: whether every waypoint is allowed
+    reason: str  #: why it is not; empty if it is
+    iterations: int  #: STOMP updates done; 0 where no plan was needed
+    #: where the first path came from: "straight", "executing", a `Reconnection.kind`, or "arrived" where the robot is
+    #: at the goal
     warm_start: str
-    rest: float = 0.0
-    task_cost: float = 0.0
-    alternative: int = 0
-    set_aside: str = ""
-    revived: bool = False
+    rest: float = 0.0  #: human occupancy cost (unweighted) of the last waypoint, where the arm would stay
+    task_cost: float = 0.0  #: of the goal itself
+    alternative: int = 0  #: which of the goal's configurations the path leads to
+    set_aside: str = ""  #: why the goal is not considered in this step whatever its path costs; empty if it is
+    revived: bool = False  #: whether it was set aside in the step before and is no more
 
     @property
     def eligible(self) -> bool:
@@ -86,33 +68,21 @@ class GoalReport:
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """What the replanner says to one occupancy (P1 Alg. 1), or on its own when it must stop.
+    """What the replanner says to one occupancy (P1 Alg. 1), or on its own when it must stop."""
 
-    Attributes:
-        stamp_s: stamp of the occupancy it follows from; of the hold, if it is one.
-        step: number of the replanning step, from 1 as in P1; of the last one (0 before any) if none was due.
-        action: "replan" (`trajectory` takes over at `t_switch_s`), "keep" (the trajectory being executed goes
-            on), "hold" (stop, or stay stopped), "evade" (`trajectory` takes the arm out of the person's way),
-            "arrived" (at rest at the chosen goal) or "missed" (a plan that came too late and is not executed).
-        reason: why, in words.
-        chosen: name of the goal being worked on; None before the first choice.
-        previous: the same before this step.
-        goals: one report per goal, in the scene's order; empty where nothing was planned.
-        t_switch_s: when `trajectory` takes over; NaN if there is none.
-        trajectory: to be executed, in absolute time; None where nothing changes.
-        compute_s: seconds spent; not part of the comparison.
-    """
-
-    stamp_s: float
-    step: int
+    stamp_s: float  #: stamp of the occupancy it follows from; of the hold, if it is one
+    step: int  #: number of the replanning step, from 1 as in P1; of the last one (0 before any) if none was due
+    #: "replan" (`trajectory` takes over at `t_switch_s`), "keep" (the trajectory being executed goes on), "hold" (stop,
+    #: or stay stopped), "evade" (`trajectory` takes the arm out of the person's way), "arrived" (at rest at the chosen
+    #: goal) or "missed" (a plan that came too late and is not executed)
     action: str
-    reason: str
-    chosen: str | None
-    previous: str | None
-    goals: tuple[GoalReport, ...] = ()
-    t_switch_s: float = float("nan")
-    trajectory: TimedTrajectory | None = None
-    compute_s: float = field(default=0.0, compare=False)
+    reason: str  #: why, in words
+    chosen: str | None  #: name of the goal being worked on; None before the first choice
+    previous: str | None  #: the same before this step
+    goals: tuple[GoalReport, ...] = ()  #: one report per goal, in the scene's order; empty where nothing was planned
+    t_switch_s: float = float("nan")  #: when `trajectory` takes over; NaN if there is none
+    trajectory: TimedTrajectory | None = None  #: to be executed, in absolute time; None where nothing changes
+    compute_s: float = field(default=0.0, compare=False)  #: seconds spent; not part of the comparison
 
     @property
     def switched(self) -> bool:
@@ -176,38 +146,25 @@ _DUE_TOLERANCE_S = 1e-6
 
 @dataclass
 class State:
-    """All that changes while the robot works.
+    """All that changes while the robot works."""
 
-    Attributes:
-        period_s: of replanning steps.
-        schedule: what the robot executes when.
-        goals: configurations (K, D) of each goal, continuous joints unwrapped from where the robot started.
-        last_stamp_s: of the newest step.
-        last_due_s: of the newest step that was due.
-        step: number of the next step.
-        paths: path (N, D) to each goal found by the last step; empty before the first.
-        set_aside: goals that the last step did not consider, with the reason.
-        left: how often each goal has been given up for another.
-        chosen: goal being worked on; None before the first choice.
-        leads_to: goal that the trajectory being executed ends at; None while stopping or moving aside.
-        held: why the robot has been stopped; empty while it has not.
-        urgent: whether any occupancy calls for a step, after an emergency stop.
-        lost: why the robot is not where the schedule says, so that it may not be commanded; empty while it is there.
-    """
-
-    period_s: float
-    schedule: Schedule
+    period_s: float  #: of replanning steps
+    schedule: Schedule  #: what the robot executes when
+    #: configurations (K, D) of each goal, continuous joints unwrapped from where the robot started
     goals: Mapping[str, FloatArray]
-    last_stamp_s: float
-    last_due_s: float
-    step: int = 1
+    last_stamp_s: float  #: of the newest step
+    last_due_s: float  #: of the newest step that was due
+    step: int = 1  #: number of the next step
+    #: path (N, D) to each goal found by the last step; empty before the first
     paths: dict[str, FloatArray] = field(default_factory=dict)
+    #: goals that the last step did not consider, with the reason
     set_aside: dict[str, str] = field(default_factory=dict)
-    left: dict[str, int] = field(default_factory=dict)
-    chosen: str | None = None
-    leads_to: str | None = None
-    held: str = ""
-    urgent: bool = False
+    left: dict[str, int] = field(default_factory=dict)  #: how often each goal has been given up for another
+    chosen: str | None = None  #: goal being worked on; None before the first choice
+    leads_to: str | None = None  #: goal that the trajectory being executed ends at; None while stopping or moving aside
+    held: str = ""  #: why the robot has been stopped; empty while it has not
+    urgent: bool = False  #: whether any occupancy calls for a step, after an emergency stop
+    #: why the robot is not where the schedule says, so that it may not be commanded; empty while it is there
     lost: str = ""
 
     def due(self, t_s: float) -> bool:

@@ -40,25 +40,18 @@ SelfClearance = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class Trouble:
-    """Where a movement first cannot be shown to be free.
+    """Where a movement first cannot be shown to be free."""
 
-    Attributes:
-        what: "obstacle", "self" or the name the checker was given for what it keeps away from.
-        at: seconds of the trajectory's clock; of a path, the waypoint's number, fractions between two. Up to
-            there the clearance is the padding, less the resolution at most.
-        clearance_m: at that moment, of the part of the arm concerned. It may exceed `wanted_m` by up to
-            half the resolution, where the time around is too short to tell.
-        wanted_m: the padding asked for.
-        link: joint whose link comes too close; empty for "self".
-        q: (D,) configuration at that moment, rad.
-    """
-
-    what: str
+    what: str  #: "obstacle", "self" or the name the checker was given for what it keeps away from
+    #: seconds of the trajectory's clock; of a path, the waypoint's number, fractions between two. Up to there the
+    #: clearance is the padding, less the resolution at most.
     at: float
+    #: at that moment, of the part of the arm concerned. It may exceed `wanted_m` by up to half the resolution, where
+    #: the time around is too short to tell.
     clearance_m: float
-    wanted_m: float
-    link: str
-    q: FloatArray
+    wanted_m: float  #: the padding asked for
+    link: str  #: joint whose link comes too close; empty for "self"
+    q: FloatArray  #: (D,) configuration at that moment, rad
 
     def __str__(self) -> str:
         part = f"{self.link} " if self.link else "the arm "
@@ -67,45 +60,31 @@ class Trouble:
 
 @dataclass(frozen=True)
 class Nearest:
-    """How close a movement comes.
+    """How close a movement comes."""
 
-    Attributes:
-        clearance_m: least clearance found, m.
-        at_least_m: no sphere comes closer at any time; at most the resolution below `clearance_m`.
-        at: when, as in `Trouble`.
-        link: joint whose link that is.
-    """
-
-    clearance_m: float
-    at_least_m: float
-    at: float
-    link: str
+    clearance_m: float  #: least clearance found, m
+    at_least_m: float  #: no sphere comes closer at any time; at most the resolution below `clearance_m`
+    at: float  #: when, as in `Trouble`
+    link: str  #: joint whose link that is
 
 
 @dataclass(frozen=True, eq=False)
 class MotionChecker:
     """Checks movements of one arm against one distance field. Safe to use from several threads.
 
-    Attributes:
-        chain, spheres: the arm, and what covers it.
-        field: signed distances, world frame.
-        padding_m: clearance wanted between spheres and `field`, and of the arm from itself.
-        self_clearance: clearance (T,) of the arm from itself at configurations (T, D), or None; no part of
-            the arm that moves may be missing from `spheres`, which bound how fast it changes.
-        what: how troubles call what is in `field`.
-        resolution_m: see `DEFAULT_RESOLUTION_M`.
-
     Raises:
         PlanningError: for a padding or resolution that makes no sense, or no spheres.
     """
 
-    chain: KinematicChain
+    chain: KinematicChain  #: the arm, and what covers it
     spheres: BodySpheres
-    field: SignedDistanceField
-    padding_m: float = 0.0
+    field: SignedDistanceField  #: signed distances, world frame
+    padding_m: float = 0.0  #: clearance wanted between spheres and `field`, and of the arm from itself
+    #: clearance (T,) of the arm from itself at configurations (T, D), or None; no part of the arm that moves may be
+    #: missing from `spheres`, which bound how fast it changes
     self_clearance: SelfClearance | None = None
-    what: str = OBSTACLE
-    resolution_m: float = DEFAULT_RESOLUTION_M
+    what: str = OBSTACLE  #: how troubles call what is in `field`
+    resolution_m: float = DEFAULT_RESOLUTION_M  #: see `DEFAULT_RESOLUTION_M`
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.padding_m) or not (np.isfinite(self.resolution_m) and self.resolution_m > 0.0):

@@ -26,19 +26,12 @@ _DEEPEST = 40
 
 
 class SphereArm(NamedTuple):
-    """An arm of D joints and the S spheres that cover it, in the order of joints.
+    """An arm of D joints and the S spheres that cover it, in the order of joints."""
 
-    Attributes:
-        joints: of the arm.
-        spheres: (S, 4) centre in the joint's frame and radius.
-        first: (D + 1,) where each joint's spheres begin.
-        lever: (D, S) distance of each sphere from each joint's axis, at most.
-    """
-
-    joints: Joints
-    spheres: FloatArray
-    first: NDArray[np.int64]
-    lever: FloatArray
+    joints: Joints  #: of the arm
+    spheres: FloatArray  #: (S, 4) centre in the joint's frame and radius
+    first: NDArray[np.int64]  #: (D + 1,) where each joint's spheres begin
+    lever: FloatArray  #: (D, S) distance of each sphere from each joint's axis, at most
 
 
 @exact_part

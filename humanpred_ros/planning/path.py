@@ -77,17 +77,12 @@ def path_integral(values: FloatArray, path: FloatArray, weights: ArrayLike = 1.0
 
 @dataclass(frozen=True)
 class Reconnection:
-    """An old path that begins where the robot will be.
+    """An old path that begins where the robot will be."""
 
-    Attributes:
-        path: (N, D) waypoints, evenly spaced; the first is exactly q_t, the last exactly the old goal.
-        parameter: where on the old path the segment lands, in configuration distance.
-        kind: "cheaper" if the segment costs no more than what it replaces, "closest" if none does,
-            "blocked" if every segment is forbidden by some term and the closest is used all the same.
-    """
-
-    path: FloatArray
-    parameter: float
+    path: FloatArray  #: (N, D) waypoints, evenly spaced; the first is exactly q_t, the last exactly the old goal
+    parameter: float  #: where on the old path the segment lands, in configuration distance
+    #: "cheaper" if the segment costs no more than what it replaces, "closest" if none does, "blocked" if every segment
+    #: is forbidden by some term and the closest is used all the same
     kind: str
 
 

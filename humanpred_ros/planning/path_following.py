@@ -38,15 +38,10 @@ _GREVILLE = (_KNOTS[1:-3] + _KNOTS[2:-2] + _KNOTS[3:-1]) / 3.0
 
 @dataclass(frozen=True)
 class SmoothPath:
-    """A twice differentiable path q(s), s in [0, 1].
+    """A twice differentiable path q(s), s in [0, 1]."""
 
-    Attributes:
-        control: (C, D) control points.
-        length: of the polyline it rounds off, rad; 0 where the path is a single configuration.
-    """
-
-    control: FloatArray
-    length: float
+    control: FloatArray  #: (C, D) control points
+    length: float  #: of the polyline it rounds off, rad; 0 where the path is a single configuration
 
     @classmethod
     def rounding(cls, waypoints: FloatArray) -> SmoothPath:
@@ -237,16 +232,11 @@ def braking(d1: FloatArray, d2: FloatArray, a_limit: FloatArray, ds: float) -> F
 
 @dataclass(frozen=True)
 class Begin:
-    """How a path is entered, and with that what the average at the switch looks back on.
+    """How a path is entered, and with that what the average at the switch looks back on."""
 
-    Attributes:
-        speed, change: ṡ and s̈ at the switch.
-        raw_speed: ṡ before averaging. The average only follows it, so it may not be beyond a limit either.
-    """
-
-    speed: float
+    speed: float  #: ṡ and s̈ at the switch
     change: float
-    raw_speed: float
+    raw_speed: float  #: ṡ before averaging. The average only follows it, so it may not be beyond a limit either.
 
     @classmethod
     def steady(cls, speed: float, change: float) -> Begin:

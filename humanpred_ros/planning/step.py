@@ -28,26 +28,16 @@ _REREAD = 300
 
 @dataclass
 class Candidate:
-    """The path to one goal in one step.
+    """The path to one goal in one step."""
 
-    Attributes:
-        name: the goal's.
-        alternative: which of the goal's configurations the path leads to.
-        initial: (N, D) path that STOMP begins with.
-        warm_start, set_aside: as in `GoalReport`.
-        run: the plan being made; None for a goal that is set aside from the beginning.
-        report: on the best path found.
-        executing: whether that path is the very one being executed.
-    """
-
-    name: str
-    alternative: int
-    initial: FloatArray
-    warm_start: str
+    name: str  #: the goal's
+    alternative: int  #: which of the goal's configurations the path leads to
+    initial: FloatArray  #: (N, D) path that STOMP begins with
+    warm_start: str  #: as in `GoalReport`
     set_aside: str = ""
-    run: StompRun | None = None
-    report: GoalReport = field(init=False)
-    executing: bool = False
+    run: StompRun | None = None  #: the plan being made; None for a goal that is set aside from the beginning
+    report: GoalReport = field(init=False)  #: on the best path found
+    executing: bool = False  #: whether that path is the very one being executed
 
 
 class Step:

@@ -23,17 +23,13 @@ LIMIT_TOLERANCE = 0.02
 class TimedTrajectory:
     """Knots of a trajectory of the robot.
 
-    Attributes:
-        t_s: (T,) strictly increasing, seconds of the data's clock.
-        q, v, a: (T, D) position, velocity, acceleration in rad, rad/s, rad/s²; the last v and a are 0.
-
     Raises:
         PlanningError: for shapes that disagree, times that do not increase, or a trajectory that does not
             end at rest.
     """
 
-    t_s: FloatArray
-    q: FloatArray
+    t_s: FloatArray  #: (T,) strictly increasing, seconds of the data's clock
+    q: FloatArray  #: (T, D) position, velocity, acceleration in rad, rad/s, rad/s²; the last v and a are 0
     v: FloatArray
     a: FloatArray
 

@@ -37,14 +37,10 @@ _NOISE_M = 0.005
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Turns votes into probabilities.
+    """Turns votes into probabilities."""
 
-    Attributes:
-        parameters: (5,) The first four give the logarithm of the power: weights of a constant, of the reach so far in
-            half metres, of its square, and of a term that is 1 at the start and soon fades. The last is the logit of
-            the constant share.
-    """
-
+    #: (5,) The first four give the logarithm of the power: weights of a constant, of the reach so far in half metres,
+    #: of its square, and of a term that is 1 at the start and soon fades. The last is the logit of the constant share.
     parameters: FloatArray
 
     def __post_init__(self) -> None:
@@ -100,17 +96,11 @@ def _calibrated(parameters: FloatArray, votes: FloatArray, reached_m: FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Novelty:
-    """Turns distances from the library into odds of no class.
+    """Turns distances from the library into odds of no class."""
 
-    Attributes:
-        points: (M, 6) `COLUMNS` of the library's postures, motion by motion, metres.
-        first: (K + 1,) where each motion's postures begin.
-        weights: (4,) give ln p(distance | of no class) / p(distance | of some class) from `_inputs`.
-    """
-
-    points: Float32Array
-    first: NDArray[np.int64]
-    weights: FloatArray
+    points: Float32Array  #: (M, 6) `COLUMNS` of the library's postures, motion by motion, metres
+    first: NDArray[np.int64]  #: (K + 1,) where each motion's postures begin
+    weights: FloatArray  #: (4,) give ln p(distance | of no class) / p(distance | of some class) from `_inputs`
     _columns: Float32Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

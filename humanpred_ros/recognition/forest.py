@@ -63,24 +63,16 @@ class ForestSettings(Settings):
 class Exemplars:
     """The library as the forest remembers it: some postures of each of K motions, M in all, motion by motion.
 
-    Attributes:
-        names: K motion names, `class/index`.
-        label: (K,) number of each motion's class.
-        first: (K + 1,) where each motion's postures begin.
-        q: (M, D) postures, library frame, angles of a motion continuous.
-        features: (M, N_FEATURES) of the reach up to each posture, library frame.
-        start_pose: (K, 3) x, y and yaw of the pelvis at the start.
-
     Raises:
         ArrayError: arrays that do not agree on the numbers of motions and postures.
     """
 
-    names: tuple[str, ...]
-    label: NDArray[np.intp]
-    first: NDArray[np.int64]
-    q: FloatArray
-    features: Float32Array
-    start_pose: FloatArray
+    names: tuple[str, ...]  #: K motion names, `class/index`
+    label: NDArray[np.intp]  #: (K,) number of each motion's class
+    first: NDArray[np.int64]  #: (K + 1,) where each motion's postures begin
+    q: FloatArray  #: (M, D) postures, library frame, angles of a motion continuous
+    features: Float32Array  #: (M, N_FEATURES) of the reach up to each posture, library frame
+    start_pose: FloatArray  #: (K, 3) x, y and yaw of the pelvis at the start
 
     def __post_init__(self) -> None:
         n_motions, n_postures = len(self.names), len(self.q)
@@ -144,17 +136,11 @@ def evenly_spaced(n_recorded: int, n_wanted: int) -> NDArray[np.intp]:
 
 
 class Tree(NamedTuple):
-    """One tree of N nodes; the root is node 0.
+    """One tree of N nodes; the root is node 0."""
 
-    Attributes:
-        feature: (N,) which feature a node asks for; -1 for a leaf.
-        threshold: (N,) left if the feature is at most this.
-        left, right: (N,) numbers of the nodes below; 0 for a leaf.
-    """
-
-    feature: IntArray
-    threshold: FloatArray
-    left: IntArray
+    feature: IntArray  #: (N,) which feature a node asks for; -1 for a leaf
+    threshold: FloatArray  #: (N,) left if the feature is at most this
+    left: IntArray  #: (N,) numbers of the nodes below; 0 for a leaf
     right: IntArray
 
 
@@ -180,22 +166,15 @@ def grow_tree(x: Float32Array, label: NDArray[np.intp], seed: int, min_samples_l
 
 @dataclass(frozen=True, eq=False)
 class Forest:
-    """B trees in one set of arrays, one tree after the other.
+    """B trees in one set of arrays, one tree after the other."""
 
-    Attributes:
-        first: (B + 1,) where each tree's nodes begin; the first of them is its root.
-        feature, threshold, left, right: of all N nodes, as in `Tree`; `left` and `right` count from the tree's root.
-        share: (N, C) share of each class among the samples that a leaf's tree has learned from.
-        sample_leaves: (M, B) the leaf each sample falls into, whether its tree has learned from it or not.
-    """
-
-    first: IntArray
-    feature: IntArray
+    first: IntArray  #: (B + 1,) where each tree's nodes begin; the first of them is its root
+    feature: IntArray  #: of all N nodes, as in `Tree`; `left` and `right` count from the tree's root
     threshold: FloatArray
     left: IntArray
     right: IntArray
-    share: Float32Array
-    sample_leaves: IntArray
+    share: Float32Array  #: (N, C) share of each class among the samples that a leaf's tree has learned from
+    sample_leaves: IntArray  #: (M, B) the leaf each sample falls into, whether its tree has learned from it or not
 
     @classmethod
     def of_trees(

@@ -60,23 +60,14 @@ def drawn_motions(names: tuple[str, ...], settings: ForestSettings) -> NDArray[n
 
 @dataclass(frozen=True, eq=False)
 class ForestModel:
-    """What the classifier has learned: immutable.
+    """What the classifier has learned: immutable."""
 
-    Attributes:
-        labels: C class labels.
-        exemplars: the postures it learned from.
-        forest: the trees, with their votes.
-        calibration: from votes to probabilities.
-        novelty: from distances to the probability of no class.
-        place: where the library's people stand.
-    """
-
-    labels: tuple[int, ...]
-    exemplars: Exemplars
-    forest: Forest
-    calibration: Calibration
-    novelty: Novelty
-    place: StandingPlace
+    labels: tuple[int, ...]  #: C class labels
+    exemplars: Exemplars  #: the postures it learned from
+    forest: Forest  #: the trees, with their votes
+    calibration: Calibration  #: from votes to probabilities
+    novelty: Novelty  #: from distances to the probability of no class
+    place: StandingPlace  #: where the library's people stand
 
     @classmethod
     def learned(

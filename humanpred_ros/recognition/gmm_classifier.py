@@ -72,22 +72,16 @@ class GmmSettings(Settings):
 class ClassMixtures:
     """A library's classes as mixtures: immutable.
 
-    Attributes:
-        labels: C class labels.
-        mixtures: one a class, over F features: the postures' D, with the phase before them if it is a feature.
-        motions_per_class: C counts of the motions learned from.
-        dof_names: D names.
-        nominal_duration_s: median duration of the motions learned from.
-
     Raises:
         ArrayError: lengths that do not agree, labels twice, a duration that is not positive.
     """
 
-    labels: tuple[int, ...]
+    labels: tuple[int, ...]  #: C class labels
+    #: one a class, over F features: the postures' D, with the phase before them if it is a feature
     mixtures: GaussianMixtures
-    motions_per_class: tuple[int, ...]
-    dof_names: tuple[str, ...]
-    nominal_duration_s: float
+    motions_per_class: tuple[int, ...]  #: C counts of the motions learned from
+    dof_names: tuple[str, ...]  #: D names
+    nominal_duration_s: float  #: median duration of the motions learned from
 
     def __post_init__(self) -> None:
         n = len(self.labels)

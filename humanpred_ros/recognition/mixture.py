@@ -26,18 +26,13 @@ _KMEANS_ITERATIONS = 100
 class GaussianMixtures:
     """C mixtures of K components each, p_c(x) = sum_k w_ck N(x | mu_ck, S_ck): immutable.
 
-    Attributes:
-        weights: (C, K) positive, sum 1 in each mixture.
-        means: (C, K, D).
-        covariances: (C, K, D, D) symmetric, positive definite.
-
     Raises:
         ArrayError: wrong shapes, weights that are no distribution, covariances not positive definite.
     """
 
-    weights: FloatArray
-    means: FloatArray
-    covariances: FloatArray
+    weights: FloatArray  #: (C, K) positive, sum 1 in each mixture
+    means: FloatArray  #: (C, K, D)
+    covariances: FloatArray  #: (C, K, D, D) symmetric, positive definite
 
     def __post_init__(self) -> None:
         means = checked("mixture means", self.means, ("C", "K", "D"))

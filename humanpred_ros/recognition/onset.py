@@ -112,19 +112,12 @@ class OnsetSettings(Settings):
 
 
 class MotionState(NamedTuple):
-    """Whether the person is in motion.
+    """Whether the person is in motion."""
 
-    Attributes:
-        moving: True from the frame an onset is found at to the one the end is found at.
-        since_s: when the motion, or the rest, began; estimated, and earlier than it was found.
-        found_s: stamp of the frame at which that was found.
-        n_motions: onsets found so far; a larger one than before means a new motion.
-    """
-
-    moving: bool
-    since_s: float
-    found_s: float
-    n_motions: int
+    moving: bool  #: True from the frame an onset is found at to the one the end is found at
+    since_s: float  #: when the motion, or the rest, began; estimated, and earlier than it was found
+    found_s: float  #: stamp of the frame at which that was found
+    n_motions: int  #: onsets found so far; a larger one than before means a new motion
 
 
 class BodyPoints:

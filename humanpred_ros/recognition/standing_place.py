@@ -28,17 +28,12 @@ _LEAST_SPREAD = (0.02, 0.02, 0.04)
 
 @dataclass(frozen=True, eq=False)
 class StandingPlace:
-    """Where a library's motions start.
+    """Where a library's motions start."""
 
-    Attributes:
-        pose: (3,) typical x, y (m) and yaw (rad) of the pelvis at the start, library frame.
-        spread: (3,) their standard deviations, from quantiles, so that mistracked motions do not count.
-        limit: a start within so many spreads is one of this place. With four, at most one of 1000 motions from the
-            library's place would be moved.
-    """
-
-    pose: FloatArray
-    spread: FloatArray
+    pose: FloatArray  #: (3,) typical x, y (m) and yaw (rad) of the pelvis at the start, library frame
+    spread: FloatArray  #: (3,) their standard deviations, from quantiles, so that mistracked motions do not count
+    #: a start within so many spreads is one of this place. With four, at most one of 1000 motions from the library's
+    #: place would be moved.
     limit: float = 4.0
 
     def __post_init__(self) -> None:

@@ -56,20 +56,14 @@ _UNREADABLE = (
 
 @dataclass(frozen=True, eq=False)
 class TrainedModel:
-    """What was learned from a library, and from which: immutable.
+    """What was learned from a library, and from which: immutable."""
 
-    Attributes:
-        library: the motions learned from, without their skeleton points.
-        human: whose motions they are.
-        classifiers: classifiers that were fitted to the library, by name; `classifier` gives one to use. None at all
-            serve predictors that need only the library.
-        package_version: version of this package that trained it.
-    """
-
-    library: MotionLibrary
-    human: HumanModel
+    library: MotionLibrary  #: the motions learned from, without their skeleton points
+    human: HumanModel  #: whose motions they are
+    #: classifiers that were fitted to the library, by name; `classifier` gives one to use. None at all serve predictors
+    #: that need only the library.
     classifiers: Mapping[str, Classifier]
-    package_version: str = __version__
+    package_version: str = __version__  #: version of this package that trained it
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "classifiers", MappingProxyType(dict(self.classifiers)))

@@ -30,17 +30,11 @@ _SAMPLES = 256
 
 @dataclass(frozen=True)
 class Approach:
-    """Where the arm comes closest to an obstacle.
+    """Where the arm comes closest to an obstacle."""
 
-    Attributes:
-        link: name of the link, as in the URDF.
-        obstacle: name of the obstacle.
-        clearance_m: distance between their surfaces, negative where they overlap.
-    """
-
-    link: str
-    obstacle: str
-    clearance_m: float
+    link: str  #: name of the link, as in the URDF
+    obstacle: str  #: name of the obstacle
+    clearance_m: float  #: distance between their surfaces, negative where they overlap
 
 
 def nearest_approaches(
@@ -243,17 +237,11 @@ def shoulder_approach(arm: Pr2Arm, obstacles: Sequence[Obstacle]) -> Approach:
 
 @dataclass(frozen=True, eq=False)
 class Separation:
-    """Least distance between arm and person at each of T moments.
+    """Least distance between arm and person at each of T moments."""
 
-    Attributes:
-        distance_m: (T,) negative where they penetrate.
-        part: (T,) number of the arm's sphere or point that is closest.
-        body: (T,) number of the human's body it is closest to.
-    """
-
-    distance_m: FloatArray
-    part: NDArray[np.int64]
-    body: NDArray[np.int64]
+    distance_m: FloatArray  #: (T,) negative where they penetrate
+    part: NDArray[np.int64]  #: (T,) number of the arm's sphere or point that is closest
+    body: NDArray[np.int64]  #: (T,) number of the human's body it is closest to
 
     @property
     def least_m(self) -> float:

@@ -21,18 +21,14 @@ from humanpred_ros.settings import Settings, setting
 class Goal:
     """A task of the robot: bring the arm to any one of `configurations`.
 
-    Attributes:
-        name: how scenes, messages and reports call it.
-        configurations: (K, J) rad, K >= 1, the preferred one first; one configuration (J,) becomes (1, J).
-        task_cost: what choosing this task costs beside disturbing the human, at least 0, in the unit of a
-            goal's selection cost (human cost integrated over configuration distance).
-
     Raises:
         SceneError: for no configurations, values that are not finite, or a cost that is negative.
     """
 
-    name: str
-    configurations: FloatArray
+    name: str  #: how scenes, messages and reports call it
+    configurations: FloatArray  #: (K, J) rad, K >= 1, the preferred one first; one configuration (J,) becomes (1, J)
+    #: what choosing this task costs beside disturbing the human, at least 0, in the unit of a goal's selection cost
+    #: (human cost integrated over configuration distance)
     task_cost: float = 0.0
 
     def __post_init__(self) -> None:

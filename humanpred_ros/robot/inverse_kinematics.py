@@ -29,18 +29,13 @@ _RIGID = 1e-6
 class ToolPose:
     """A pose wanted of the tool, with tolerances.
 
-    Attributes:
-        T_world_tool: (4, 4) wanted pose.
-        position_tolerance_m: (3,) largest displacement along each axis of the wanted pose.
-        orientation_tolerance_rad: (3,) largest rotation about each axis, pi or more for any.
-
     Raises:
         SceneError: for a pose that is not rigid, or tolerances that are negative.
     """
 
-    T_world_tool: FloatArray
-    position_tolerance_m: FloatArray
-    orientation_tolerance_rad: FloatArray
+    T_world_tool: FloatArray  #: (4, 4) wanted pose
+    position_tolerance_m: FloatArray  #: (3,) largest displacement along each axis of the wanted pose
+    orientation_tolerance_rad: FloatArray  #: (3,) largest rotation about each axis, pi or more for any
 
     def __post_init__(self) -> None:
         T = checked("tool pose", self.T_world_tool, (4, 4), error=SceneError)
@@ -149,16 +144,12 @@ class InverseKinematicsSettings(Settings):
 
 @dataclass(frozen=True, eq=False)
 class InverseKinematics:
-    """What was found.
+    """What was found."""
 
-    Attributes:
-        configurations: (K, 7) rad, the nearest to the start first, continuous joints the shorter way from it;
-            K = 0 if the pose was not reached.
-        missing_m, missing_rad: how far beyond its tolerances the tool stays at best, 0 if it was reached.
-    """
-
+    #: (K, 7) rad, the nearest to the start first, continuous joints the shorter way from it; K = 0 if the pose was not
+    #: reached
     configurations: FloatArray
-    missing_m: float
+    missing_m: float  #: how far beyond its tolerances the tool stays at best, 0 if it was reached
     missing_rad: float
 
 

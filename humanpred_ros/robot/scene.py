@@ -30,16 +30,12 @@ _FIELD_CAP_M = 0.5
 class Place:
     """A place the person may reach for, whether or not anybody was ever seen to reach there.
 
-    Attributes:
-        label: number by which messages call it; where a library has a class of reaches to it, that class's.
-        place_m: (3,) where the palm ends, world frame.
-
     Raises:
         SceneError: for a label that is no whole number, or a place that is not three finite numbers.
     """
 
-    label: int
-    place_m: FloatArray
+    label: int  #: number by which messages call it; where a library has a class of reaches to it, that class's
+    place_m: FloatArray  #: (3,) where the palm ends, world frame
 
     def __post_init__(self) -> None:
         if isinstance(self.label, bool) or not isinstance(self.label, int):
@@ -52,31 +48,22 @@ class Place:
 class Scene:
     """What is fixed while robot and human work; frames are world unless the name says otherwise.
 
-    Attributes:
-        name: how reports call it.
-        arm: the robot's right arm, placed.
-        start: (7,) configuration of the right arm at the beginning.
-        goals: at least one, with different names; continuous joints are unwrapped so that
-            `goal.configurations - start` is the shorter way.
-        table: the table's top.
-        objects: what stands on it.
-        T_world_human: (4, 4) pose of the tracker's frame, in which postures are given.
-        grid: the voxels in which human occupancy is predicted.
-        places: where the person may reach, with different labels; without any the predictor asks its library.
-
     Raises:
         SceneError: for no goals, or names or labels used twice.
         GoalUnreachableError: for a configuration outside the joint limits.
     """
 
-    name: str
-    arm: Pr2Arm
-    start: FloatArray
+    name: str  #: how reports call it
+    arm: Pr2Arm  #: the robot's right arm, placed
+    start: FloatArray  #: (7,) configuration of the right arm at the beginning
+    #: at least one, with different names; continuous joints are unwrapped so that `goal.configurations - start` is the
+    #: shorter way
     goals: tuple[Goal, ...]
-    table: Obstacle
-    objects: tuple[Obstacle, ...]
-    T_world_human: FloatArray
-    grid: VoxelGrid
+    table: Obstacle  #: the table's top
+    objects: tuple[Obstacle, ...]  #: what stands on it
+    T_world_human: FloatArray  #: (4, 4) pose of the tracker's frame, in which postures are given
+    grid: VoxelGrid  #: the voxels in which human occupancy is predicted
+    #: where the person may reach, with different labels; without any the predictor asks its library
     places: tuple[Place, ...] = ()
 
     def __post_init__(self) -> None:

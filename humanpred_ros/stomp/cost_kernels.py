@@ -34,43 +34,27 @@ _0, _1, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 
 
 class Occupied(NamedTuple):
-    """An arm's points and the occupancy they may meet.
+    """An arm's points and the occupancy they may meet."""
 
-    Attributes:
-        arm: in cells of the lattice.
-        lattice: (nx·ny·nz,) probabilities with a border of zeros.
-        shape, cells_per_m: of the lattice.
-        factor, weight: on the sum over points, and on the cost.
-    """
-
-    arm: FlatChain
-    lattice: Array
-    shape: tuple[int, int, int]
+    arm: FlatChain  #: in cells of the lattice
+    lattice: Array  #: (nx·ny·nz,) probabilities with a border of zeros
+    shape: tuple[int, int, int]  #: of the lattice
     cells_per_m: np.float32
-    factor: np.float32
+    factor: np.float32  #: on the sum over points, and on the cost
     weight: np.float32
 
 
 class Obstacles(NamedTuple):
-    """An arm's spheres and the obstacles around it.
+    """An arm's spheres and the obstacles around it."""
 
-    Attributes:
-        arm: in cells of the lattice.
-        lattice: (nx·ny·nz,) distances, m.
-        shape, resolution: of the lattice; m.
-        speed_scale: waypoints a second.
-        clearance, margin: distance beyond which nothing is charged, and below which nothing is allowed, m.
-        weight: on the cost.
-    """
-
-    arm: FlatChain
-    lattice: Array
-    shape: tuple[int, int, int]
+    arm: FlatChain  #: in cells of the lattice
+    lattice: Array  #: (nx·ny·nz,) distances, m
+    shape: tuple[int, int, int]  #: of the lattice; m
     resolution: np.float32
-    speed_scale: np.float32
-    clearance: np.float32
+    speed_scale: np.float32  #: waypoints a second
+    clearance: np.float32  #: distance beyond which nothing is charged, and below which nothing is allowed, m
     margin: np.float32
-    weight: np.float32
+    weight: np.float32  #: on the cost
 
 
 @fast_part

@@ -39,26 +39,16 @@ POINTS_OF_P1 = 87.0
 
 @dataclass(frozen=True, eq=False)
 class CostTermRequest:
-    """What the replanner makes a cost term from.
+    """What the replanner makes a cost term from."""
 
-    Attributes:
-        chain: kinematics of the arm, with its joint limits.
-        points: points on the arm's surface.
-        spheres: spheres that cover the arm.
-        field: signed distance to obstacles, world frame.
-        padding_m: clearance that every configuration must keep from obstacles.
-        stomp: settings of STOMP, with the weights of the built-in terms.
-        settings: of the term, of its `settings_type`.
-        occupancy: predicted human occupancy, widened by the margin. None for a term that is not `per_occupancy`.
-    """
-
-    chain: KinematicChain
-    points: BodyPoints
-    spheres: BodySpheres
-    field: SignedDistanceField
-    padding_m: float
-    stomp: StompConfig
-    settings: Settings
+    chain: KinematicChain  #: kinematics of the arm, with its joint limits
+    points: BodyPoints  #: points on the arm's surface
+    spheres: BodySpheres  #: spheres that cover the arm
+    field: SignedDistanceField  #: signed distance to obstacles, world frame
+    padding_m: float  #: clearance that every configuration must keep from obstacles
+    stomp: StompConfig  #: settings of STOMP, with the weights of the built-in terms
+    settings: Settings  #: of the term, of its `settings_type`
+    #: predicted human occupancy, widened by the margin. None for a term that is not `per_occupancy`.
     occupancy: Occupancy | None = None
 
 

@@ -27,26 +27,17 @@ BEST, REFERENCE, N_TOTALS = 0, 1, 2
 
 
 class Rules(NamedTuple):
-    """What stays the same in all iterations of a plan.
+    """What stays the same in all iterations of a plan."""
 
-    Attributes:
-        quantiles: `QUANTILES`.
-        std: (D,) standard deviations of the noise, float32.
-        decay: factor on them per iteration.
-        factor, factor32, column_scale: see `Smoothness`; the second is the first in float32.
-        lower, upper: (D,) limits.
-        sharpness, n_reused, tolerance, patience: as in `StompConfig`.
-    """
-
-    quantiles: Array
-    std: Array
-    decay: float
-    factor: Array
+    quantiles: Array  #: `QUANTILES`
+    std: Array  #: (D,) standard deviations of the noise, float32
+    decay: float  #: factor on them per iteration
+    factor: Array  #: see `Smoothness`; the second is the first in float32
     factor32: Array
     column_scale: Array
-    lower: Array
+    lower: Array  #: (D,) limits
     upper: Array
-    sharpness: float
+    sharpness: float  #: as in `StompConfig`
     n_reused: int
     tolerance: float
     patience: int
@@ -56,20 +47,14 @@ class Work(NamedTuple):
     """A plan in progress, changed in place.
 
     Rollouts lie in one pool with their costs: the reused ones first, then the new ones, then the noiseless trajectory.
-
-    Attributes:
-        theta, best: (N, D) the trajectory that new rollouts are drawn around, and the best one so far.
-        counters, totals: see `DONE` and `BEST`.
-        bits: random bits of the whole plan.
-        rollouts, state, joint: (R + 1, N, D), (R + 1, N) and (R + 1, N, D): the pool, and its costs.
     """
 
-    theta: Array
+    theta: Array  #: (N, D) the trajectory that new rollouts are drawn around, and the best one so far
     best: Array
-    counters: Array
+    counters: Array  #: see `DONE` and `BEST`
     totals: Array
-    bits: Array
-    rollouts: Array
+    bits: Array  #: random bits of the whole plan
+    rollouts: Array  #: (R + 1, N, D), (R + 1, N) and (R + 1, N, D): the pool, and its costs
     state: Array
     joint: Array
 

@@ -47,23 +47,14 @@ COMPILED_TERMS = {ObstacleCost, HumanOccupancyCost, SmoothnessCost}
 
 @dataclass(frozen=True)
 class Plan:
-    """The best noiseless trajectory STOMP met.
+    """The best noiseless trajectory STOMP met."""
 
-    Attributes:
-        waypoints: (N, D), rad; first and last are exactly the start and goal asked for.
-        cost: weighted share of each term, summed over waypoints.
-        total: sum of the shares.
-        iterations: updates done.
-        valid: whether every waypoint is allowed by every term and within the limits.
-        reason: why it is not valid; empty if it is.
-    """
-
-    waypoints: FloatArray
-    cost: dict[str, float]
-    total: float
-    iterations: int
-    valid: bool
-    reason: str = ""
+    waypoints: FloatArray  #: (N, D), rad; first and last are exactly the start and goal asked for
+    cost: dict[str, float]  #: weighted share of each term, summed over waypoints
+    total: float  #: sum of the shares
+    iterations: int  #: updates done
+    valid: bool  #: whether every waypoint is allowed by every term and within the limits
+    reason: str = ""  #: why it is not valid; empty if it is
 
 
 class StompPlanner:

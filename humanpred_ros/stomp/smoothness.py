@@ -40,16 +40,12 @@ class Smoothness:
 
     The trajectory is continued by copies of its start and goal, so that A sees a robot at rest at both
     ends and the ends themselves never move.
-
-    Attributes:
-        n_waypoints: N, with start and goal.
-        factor: (5, N-2) lower Cholesky factor of R in bands: `factor[k, i] = L[i + k, i]`, zeros past the end.
-        column_scale: (N-2,) what scales column i of R⁻¹ to a largest element of 1/(N-2).
     """
 
-    n_waypoints: int
+    n_waypoints: int  #: N, with start and goal
+    #: (5, N-2) lower Cholesky factor of R in bands: `factor[k, i] = L[i + k, i]`, zeros past the end
     factor: FloatArray
-    column_scale: FloatArray
+    column_scale: FloatArray  #: (N-2,) what scales column i of R⁻¹ to a largest element of 1/(N-2)
 
     @property
     def n_free(self) -> int:
