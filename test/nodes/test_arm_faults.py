@@ -1,0 +1,115 @@
+"""Over DDS, an arm that is not where the planner thinks it is leads to a hold with that reason, every time anew."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from humanpred_ros.robot.scene import load_scene
+
+pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
+from planner_client import NS, PlannerClient, nobody
+
+from humanpred_ros.nodes import conversions
+
+SCENE = load_scene("face_to_face")
+PARAMETERS = {"scene": "face_to_face", "iterations": 5, "waypoints": 40, "period_s": 0.2, "velocity_scale": 0.1}
+TOLERANCE_RAD = 0.05
+
+
+class Session:
+    """A planner that has an arm on its way, with nobody near."""
+
+    def __init__(self, client: PlannerClient) -> None:
+        self.client = client
+
+    def go_on(self, condition: Callable[[], bool], what: str, ahead_ns: int = 0) -> None:
+        """Send occupancies until a condition holds."""
+        client = self.client
+
+        def send() -> None:
+            client.send_cloud(conversions.occupancy_cloud(nobody(SCENE), 0.0, client.now_ns() + ahead_ns))
+
+        client.send_until(send, condition, what)
+
+    def until_moving(self) -> None:
+        n_before = len(self.client.decisions)
+        self.go_on(
+            lambda: (
+                np.abs(self.client.controller.v).max() > 0.05
+                and any(d.action in ("keep", "replan") for d in self.client.decisions[n_before:])
+            ),
+            "the arm to be on its way",
+        )
+
+    def until_hold(self, reason: str) -> None:
+        n_before = len(self.client.decisions)
+        self.go_on(self._held(reason, n_before), f"a hold: {reason}")
+
+    def wait_for_hold(self, reason: str) -> None:
+        self.client.wait(self._held(reason, len(self.client.decisions)), f"a hold: {reason}")
+
+    def _held(self, reason: str, since: int) -> Callable[[], bool]:
+        decisions = self.client.decisions
+        return lambda: any(d.action == "hold" and d.reason.startswith(reason) for d in decisions[since:])
+
+
+@pytest.fixture
+def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
+    with PlannerClient(tmp_path_factory.mktemp("planner"), SCENE, PARAMETERS) as client:
+        client.settle_arm()
+        yield Session(client)
+
+
+def test_an_arm_that_does_not_follow_is_stopped_and_goes_on_from_where_it_is(session: Session) -> None:
+    client = session.client
+    for _ in range(2):
+        session.until_moving()
+        client.controller.stuck = True
+        n_sent = len(client.trajectories)
+        session.until_hold("the arm does not follow")
+        client.wait(lambda n=n_sent: len(client.trajectories) > n, "the stop")
+        stop = client.trajectories[-1].points
+        assert np.abs(np.array(stop[0].positions) - client.controller.q).max() < TOLERANCE_RAD
+        assert np.abs(np.array(stop[-1].positions) - client.controller.q).max() < TOLERANCE_RAD
+        client.controller.stuck = False
+    session.until_moving()
+    # Moved by hand, 0.2 rad: the next motion begins there.
+    client.controller.q = client.controller.q + 0.2
+    client.controller._hold()
+    session.until_hold("the arm does not follow")
+    n_sent = len(client.trajectories)
+    session.until_moving()
+    first = client.trajectories[n_sent].points[0]
+    assert np.abs(np.array(first.positions) - client.controller.q).max() < 0.2
+
+
+def test_an_arm_that_falls_silent_is_stopped_every_time(session: Session) -> None:
+    for _ in range(2):
+        session.until_moving()
+        session.client.arm_runs = False
+        session.until_hold("silent arm")
+        session.client.arm_runs = True
+
+
+def test_a_stamp_ahead_holds_and_spoils_nothing(session: Session) -> None:
+    for _ in range(2):
+        session.until_moving()
+        n_before = len(session.client.decisions)
+        cloud = conversions.occupancy_cloud(nobody(SCENE), 0.0, session.client.now_ns() + 60 * NS)
+        session.client.send_until(
+            lambda cloud=cloud: session.client.send_cloud(cloud),
+            lambda n=n_before: any(d.reason.startswith("stamp ahead") for d in session.client.decisions[n:]),
+            "a hold",
+        )
+        session.until_moving()  # ordinary stamps count at once
+        session.wait_for_hold("stale human data")  # and so does their silence
+
+
+def test_a_second_planner_does_not_command(session: Session) -> None:
+    session.until_moving()
+    session.client.group.start("stomp_planner", PARAMETERS)
+    session.until_hold("two planners: /stomp_planner commands this arm already")
+    session.until_moving()  # the first one works on
