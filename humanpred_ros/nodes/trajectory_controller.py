@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.nodes.conversions import controller_refusal, stamp_ns
+from humanpred_ros.planning.trajectory import quintic
 from humanpred_ros.settings import Settings, setting
 
 #: An arm that keeps to its velocity limits may need this much more for rounding.
@@ -161,15 +162,11 @@ class TrajectoryController:
         u = min(max((t_ns - a.t_ns) * 1e-9 / h, 0.0), 1.0)
         if a.v is None or b.v is None:
             return a.q + u * (b.q - a.q), (b.q - a.q) / h
-        v0, v1 = a.v * h, b.v * h
         if a.a is None or b.a is None:
+            v0, v1 = a.v * h, b.v * h
             c2, c3 = 3.0 * (b.q - a.q) - 2.0 * v0 - v1, -2.0 * (b.q - a.q) + v0 + v1
             return a.q + u * (v0 + u * (c2 + u * c3)), (v0 + u * (2.0 * c2 + u * 3.0 * c3)) / h
-        a0, a1 = a.a * h * h, b.a * h * h
-        d, e, f = b.q - a.q - v0 - 0.5 * a0, v1 - v0 - a0, a1 - a0
-        c3, c4, c5 = 10.0 * d - 4.0 * e + 0.5 * f, -15.0 * d + 7.0 * e - f, 6.0 * d - 3.0 * e + 0.5 * f
-        q = a.q + u * (v0 + u * (0.5 * a0 + u * (c3 + u * (c4 + u * c5))))
-        return q, (v0 + u * (a0 + u * (3.0 * c3 + u * (4.0 * c4 + u * 5.0 * c5)))) / h
+        return quintic(u, h, (a.q, a.v, a.a), (b.q, b.v, b.a))[:2]
 
 
 def _columns(values: Any, column: list[int]) -> FloatArray | None:

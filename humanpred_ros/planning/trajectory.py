@@ -7,6 +7,7 @@ a ROS joint trajectory controller does; so position, velocity and acceleration a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +18,23 @@ from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 #: Trajectories made by this package keep to velocity and acceleration limits, between their knots too, to
 #: within this share of them.
 LIMIT_TOLERANCE = 0.02
+
+
+State: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+
+
+def quintic(u: FloatArray | float, h: FloatArray | float, start: State, end: State) -> State:
+    """Return position, velocity and acceleration at the share `u` of a time `h` between two such states."""
+    q0, v0, a0 = start[0], start[1] * h, start[2] * h * h
+    q1, v1, a1 = end[0], end[1] * h, end[2] * h * h
+    d = q1 - q0 - v0 - 0.5 * a0  # what the first three coefficients leave of position, velocity, acceleration
+    e = v1 - v0 - a0
+    f = a1 - a0
+    c3, c4, c5 = 10.0 * d - 4.0 * e + 0.5 * f, -15.0 * d + 7.0 * e - f, 6.0 * d - 3.0 * e + 0.5 * f
+    q = q0 + u * (v0 + u * (0.5 * a0 + u * (c3 + u * (c4 + u * c5))))
+    v = (v0 + u * (a0 + u * (3.0 * c3 + u * (4.0 * c4 + u * 5.0 * c5)))) / h
+    a = (a0 + u * (6.0 * c3 + u * (12.0 * c4 + u * 20.0 * c5))) / (h * h)
+    return q, v, a
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,15 +103,8 @@ class TimedTrajectory:
         k = np.clip(np.searchsorted(self.t_s, t, side="right") - 1, 0, len(self) - 2)
         h = (self.t_s[k + 1] - self.t_s[k])[..., None]
         u = np.clip((t - self.t_s[k])[..., None] / h, 0.0, 1.0)
-        q0, v0, a0 = self.q[k], self.v[k] * h, self.a[k] * h * h
-        q1, v1, a1 = self.q[k + 1], self.v[k + 1] * h, self.a[k + 1] * h * h
-        d = q1 - q0 - v0 - 0.5 * a0  # what the first three coefficients leave of position, velocity, acceleration
-        e = v1 - v0 - a0
-        f = a1 - a0
-        c3, c4, c5 = 10.0 * d - 4.0 * e + 0.5 * f, -15.0 * d + 7.0 * e - f, 6.0 * d - 3.0 * e + 0.5 * f
-        q = q0 + u * (v0 + u * (0.5 * a0 + u * (c3 + u * (c4 + u * c5))))
-        v = (v0 + u * (a0 + u * (3.0 * c3 + u * (4.0 * c4 + u * 5.0 * c5)))) / h
-        a = (a0 + u * (6.0 * c3 + u * (12.0 * c4 + u * 20.0 * c5))) / (h * h)
+        ends = ((self.q[i], self.v[i], self.a[i]) for i in (k, k + 1))
+        q, v, a = quintic(u, h, *ends)
         before = (t < self.t_s[0])[..., None]
         at_end = (t >= self.t_s[-1])[..., None]
         q = np.where(at_end, self.q[-1], q)
