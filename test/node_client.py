@@ -87,7 +87,9 @@ class NodeClient:
             assert time.monotonic() < until_s, f"waited {timeout_s} s for {what}:\n{self.process.tail()}"
             self._executor.spin_once(timeout_sec=_SPIN_S)
 
-    def send_until(self, send: Callable[[], None], condition: Callable[[], bool], what: str) -> None:
+    def send_until(
+        self, send: Callable[[], None], condition: Callable[[], bool], what: str, timeout_s: float = 30.0
+    ) -> None:
         """Send again and again until `condition` holds: best-effort subscriptions may lose some."""
         sent_s = -np.inf
 
@@ -100,7 +102,7 @@ class NodeClient:
                 send()
             return False
 
-        self.wait(again, what)
+        self.wait(again, what, timeout_s)
 
     def now_ns(self) -> int:
         return int(self.node.get_clock().now().nanoseconds)

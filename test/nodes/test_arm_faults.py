@@ -15,7 +15,7 @@ from planner_client import NS, PlannerClient, nobody
 from humanpred_ros.nodes import conversions
 
 SCENE = load_scene("face_to_face")
-PARAMETERS = {"scene": "face_to_face", "iterations": 5, "waypoints": 40, "period_s": 0.2, "velocity_scale": 0.1}
+PARAMETERS = {"scene": "face_to_face", "iterations": 5, "waypoints": 40, "period_s": 0.2, "velocity_scale": 0.05}
 TOLERANCE_RAD = 0.05
 
 
@@ -25,14 +25,14 @@ class Session:
     def __init__(self, client: PlannerClient) -> None:
         self.client = client
 
-    def go_on(self, condition: Callable[[], bool], what: str, ahead_ns: int = 0) -> None:
+    def go_on(self, condition: Callable[[], bool], what: str) -> None:
         """Send occupancies until a condition holds."""
         client = self.client
 
         def send() -> None:
-            client.send_cloud(conversions.occupancy_cloud(nobody(SCENE), 0.0, client.now_ns() + ahead_ns))
+            client.send_cloud(conversions.occupancy_cloud(nobody(SCENE), 0.0, client.now_ns()))
 
-        client.send_until(send, condition, what)
+        client.send_until(send, condition, what, timeout_s=120.0)
 
     def until_moving(self) -> None:
         n_before = len(self.client.decisions)
@@ -112,4 +112,6 @@ def test_a_second_planner_does_not_command(session: Session) -> None:
     session.until_moving()
     session.client.group.start("stomp_planner", PARAMETERS)
     session.until_hold("two planners: /stomp_planner commands this arm already")
-    session.until_moving()  # the first one works on
+    # The first one works on; by now its arm may have arrived.
+    decisions, since = session.client.decisions, len(session.client.decisions)
+    session.go_on(lambda: any(d.action in ("keep", "replan", "arrived") for d in decisions[since:]), "an answer")
