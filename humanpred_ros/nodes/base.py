@@ -1,12 +1,14 @@
-"""What every node of the graph shares: diagnostics with readiness, and an orderly main()."""
+"""What every node of the graph shares: diagnostics that tell the truth, and an orderly main()."""
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
-from collections import Counter
+import time
 from collections.abc import Callable
 from types import FrameType
+from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -15,12 +17,15 @@ from rclpy.exceptions import NameValidationException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 
 from humanpred_ros import topics
 from humanpred_ros.errors import HumanPredError, UsageError
 from humanpred_ros.nodes import qos
+from humanpred_ros.nodes.inputs import Change, Input, Refusals, one_line
 
 READY = "ready"
 _STATUS_PERIOD_S = 0.2
@@ -28,22 +33,72 @@ _SIGNAL_PERIOD_S = 0.1
 
 
 class GraphNode(Node):
-    """A node that tells on /diagnostics whether it is ready, and counts what it refused and why.
+    """A node that tells on /diagnostics what it does, from what, and what keeps it from doing it.
+
+    Level: OK while the node does its work, or can do it as soon as it is asked; WARN while it waits or holds, while a
+    warning stands, and for a few seconds after it refused something: this goes away by itself; ERROR for what somebody
+    must put right. Message: the state. Values: whether it is `ready`, then each input's age, rate and latency, what the
+    node itself has to tell, what it refused, and its warnings.
 
     Readiness is a matter of the graph, not of a node alone: a node is ready once the peers it cannot do
     without have been matched, so that nothing sent from then on is lost (`waiting_for`).
+
+    Attributes:
+        inputs: what was subscribed to with `listen`, by topic.
+        refused: how often what was refused, by kind.
+        warnings: that stand, by what they are about.
+        hardware_id: what the status is about, for those who group by it; the node itself unless set.
+        failure: the error that ended the node.
     """
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self.refused: Counter[str] = Counter()
+        self.inputs: dict[str, Input] = {}
+        self._refusals = Refusals()
+        self.refused = self._refusals.counts
         self.warnings: dict[str, str] = {}
+        self.hardware_id = self.get_fully_qualified_name()
         self.failure: HumanPredError | None = None
+        self._change = Change()
         self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, qos.COMMAND)
         # Steady time: a paused or stepped /clock must not silence the diagnostics.
         self._status_timer = self.create_timer(
             _STATUS_PERIOD_S, self.publish_status, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
+
+    def listen(
+        self,
+        kind: type[Any],
+        topic: str,
+        callback: Callable[..., bool | None],
+        profile: QoSProfile,
+        *,
+        max_age_s: float = math.inf,
+        raw: bool = False,
+    ) -> Subscription:
+        """Subscribe to an input of the node: its age, rate and latency are on /diagnostics.
+
+        Args:
+            kind: type of the messages.
+            topic: name.
+            callback: takes a message, or where `raw` its bytes and times; returns False for one that is not meant for
+                this node, which does not count.
+            profile: quality of service.
+            max_age_s: once messages have come, the node cannot do its work after a longer silence.
+            raw: the messages are wanted as they travel.
+        """
+        heard = self.inputs[topic] = Input(topic, max_age_s)
+
+        def on_message(message: Any, info: Any) -> None:
+            came_s = time.monotonic()
+            if (callback(message, info) if raw else callback(message)) is not False:
+                # The middleware's time of receipt: a message may have waited for the node.
+                heard.handled(came_s, max(time.time_ns() - info["received_timestamp"], 0) * 1e-9)
+
+        # rclpy's annotation leaves out that a callback may take the times of a message, too.
+        subscription = self.create_subscription(kind, topic, on_message, profile, raw=raw)  # type: ignore[arg-type]
+        heard.publishers = subscription.get_publisher_count
+        return subscription
 
     def waiting_for(self) -> str:
         """Return what the node still waits for, or an empty string when it is ready."""
@@ -52,6 +107,18 @@ class GraphNode(Node):
     def holding_because(self) -> str:
         """Return why the node does not do its work now, although nothing is missing; empty if it does."""
         return ""
+
+    def fault(self) -> str:
+        """Return what somebody must put right before the node does its work again; empty if nothing."""
+        return ""
+
+    def working(self) -> str:
+        """Return what the node does: `READY` until it is asked to do something."""
+        return READY
+
+    def facts(self) -> dict[str, str]:
+        """Return what else the node has to tell on /diagnostics."""
+        return {}
 
     def unmatched(self, publisher: Publisher, listener: str) -> str:
         """Return what a publisher still lacks before nothing it sends is lost; empty when it lacks nothing.
@@ -67,11 +134,10 @@ class GraphNode(Node):
         return ""
 
     def refuse(self, reason: str) -> None:
-        """Count a refused input under a named reason; logged the first time only."""
-        kind = reason.split(":", 1)[0]
-        if not self.refused[kind]:
-            self.get_logger().warning(f"refused {reason} (further ones of this kind are only counted)")
-        self.refused[kind] += 1
+        """Count a refused input under a named reason; logged when a kind comes that did not come lately."""
+        line = self._refusals.add(reason)
+        if line:
+            self.get_logger().warning(line)
 
     def warn(self, warnings: dict[str, str]) -> None:
         """Let these be the warnings that stand, by what they are about; one about something new is logged."""
@@ -79,21 +145,49 @@ class GraphNode(Node):
             self.get_logger().warning(warnings[about])
         self.warnings = dict(warnings)
 
+    def tell(self, kind: object, text: str) -> None:
+        """Log what the node does, once each time its kind changes."""
+        if self._change.to(kind, self.get_clock().now().nanoseconds * 1e-9):
+            self.get_logger().info(one_line(text))
+
     def publish_status(self) -> None:
-        """Publish readiness, the counts of refused inputs, and the warnings that stand."""
-        waiting, holding = self.waiting_for(), self.holding_because()
+        """Publish level, state and values, as described above."""
+        now_s = time.monotonic()
+        waiting = self.waiting_for()
+        level, message = self._state(waiting, now_s)
+        values = {
+            "ready": str(not waiting).lower(),
+            **{
+                f"input{topic}/{name}": text
+                for topic, heard in self.inputs.items()
+                for name, text in heard.facts(now_s).items()
+            },
+            **self.facts(),
+            **{f"refused/{kind}": str(count) for kind, count in self.refused.items()},
+            **{f"warning/{about}": text for about, text in self.warnings.items()},
+        }
         status = DiagnosticStatus(
             name=self.get_name(),
-            level=DiagnosticStatus.WARN if waiting or holding or self.refused or self.warnings else DiagnosticStatus.OK,
-            message=f"waiting for {waiting}" if waiting else f"holding: {holding}" if holding else READY,
-            values=[
-                *(KeyValue(key=f"refused/{kind}", value=str(count)) for kind, count in self.refused.items()),
-                *(KeyValue(key=f"warning/{about}", value=text) for about, text in self.warnings.items()),
-            ],
+            level=level,
+            message=message,
+            hardware_id=self.hardware_id,
+            values=[KeyValue(key=key, value=one_line(text)) for key, text in values.items()],
         )
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
+
+    def _state(self, waiting: str, now_s: float) -> tuple[bytes, str]:
+        fault, holding = self.fault(), self.holding_because()
+        silent = [heard.silence() for heard in self.inputs.values() if heard.silent(now_s)]
+        if fault:
+            return DiagnosticStatus.ERROR, one_line(fault)
+        if holding:
+            return DiagnosticStatus.WARN, one_line(f"holding: {holding}")
+        if waiting or silent:
+            return DiagnosticStatus.WARN, f"waiting for {waiting or ', '.join(silent)}"
+        fine = not (self.warnings or self._refusals.recent())
+        return DiagnosticStatus.OK if fine else DiagnosticStatus.WARN, self.working()
 
     def stop_with(self, error: HumanPredError) -> None:
         """End the process with this error: called from callbacks, where raising would only print a trace."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, cast
 
@@ -126,14 +127,13 @@ class OccupancyPredictorNode(GraphNode):
         self.grid_publisher = self.create_publisher(String, topics.VOXEL_GRID, qos.LATCHED)
         self.grid_publisher.publish(String(data=conversions.grid_description(scene.grid)))
         self.add_on_set_parameters_callback(self.on_parameters)
-        self.create_subscription(Bool, topics.human_held(settings.body_id), self.on_held, qos.LATCHED)
-        self.create_subscription(
-            JointState,
-            topics.human_joint_states(settings.body_id),
-            self.on_posture,
-            # One that plans may be slower than its sensor: old postures that queue up would make it ever later.
-            qos.sensor_subscription(settings.lossless, newest_only=settings.predictor == "reaching"),
-        )
+        postures = topics.human_joint_states(settings.body_id)
+        self.hardware_id = postures.rpartition("/")[0]
+        self.listen(Bool, topics.human_held(settings.body_id), self.on_held, qos.LATCHED)
+        # One that plans may be slower than its sensor: old postures that queue up would make it ever later.
+        profile = qos.sensor_subscription(settings.lossless, newest_only=settings.predictor == "reaching")
+        max_age_s = math.inf if settings.lossless else settings.restart_gap_s
+        self.listen(JointState, postures, self.on_posture, profile, max_age_s=max_age_s)
 
     def on_held(self, message: Bool) -> None:
         """Remember whether the tracker repeats its last posture on purpose."""
@@ -225,6 +225,9 @@ class OccupancyPredictorNode(GraphNode):
 
     def waiting_for(self) -> str:
         return self.unmatched(self.publisher, self.settings.listener)
+
+    def working(self) -> str:
+        return super().working() if self.last_ns is None else "predicting"
 
     def on_posture(self, message: JointState) -> None:
         """Predict from one posture and publish; refuse it with a named reason if it cannot be used."""

@@ -81,21 +81,21 @@ class RunRecorder(GraphNode):
             raise UsageError(f"parameter wait_for: wanted recorded topics, got {', '.join(unknown)}")
         self.writer = BagWriter(settings.output)
         self.writer.add_metadata("run", {key: str(value) for key, value in info.items()})
-        self.inputs = {topic: self._record(topic, kind, profile) for topic, kind, profile in recorded}
+        for topic, kind, profile in recorded:
+            self._record(topic, kind, profile)
         self.create_timer(_FLUSH_PERIOD_S, self.writer.flush, clock=self._status_timer.clock)
 
-    def _record(self, topic: str, kind: Any, profile: Any) -> Any:
+    def _record(self, topic: str, kind: Any, profile: Any) -> None:
         name = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
         self.writer.add_topic(topic, name, qos=LATCHED_QOS if profile is qos.LATCHED else DEFAULT_QOS)
 
         def on_message(data: bytes, info: Any) -> None:
             self.writer.write(topic, info["received_timestamp"], bytes(data), info["source_timestamp"])
 
-        # rclpy's annotation leaves out that a callback may take the times of a message, too.
-        return self.create_subscription(kind, topic, on_message, profile, raw=True)  # type: ignore[arg-type]
+        self.listen(kind, topic, on_message, profile, raw=True)
 
     def waiting_for(self) -> str:
-        missing = [topic for topic in self.wanted if not self.inputs[topic].get_publisher_count()]
+        missing = [topic for topic in self.wanted if not self.inputs[topic].publishers()]
         return f"a publisher of {', '.join(missing)}" if missing else ""
 
     def close(self) -> None:

@@ -48,13 +48,14 @@ class SimulatedArm(GraphNode):
         self.commanded = False
         self.ended = ""
         # Made first, so that a trajectory and a clock tick that wait together are taken in this order.
-        self.create_subscription(JointTrajectory, topics.TRAJECTORY, self.on_trajectory, qos.COMMAND)
+        commands = self.listen(JointTrajectory, topics.TRAJECTORY, self.on_trajectory, qos.COMMAND)
+        self.hardware_id = commands.topic_name.rpartition("/")[0]
         self.publisher = self.create_publisher(JointState, topics.JOINT_STATES, qos.SENSOR_PUBLISHER)
         self.period_ns = round(conversions.NS_PER_S / settings.rate_hz)
         self.last_ns = -self.period_ns
         if self.get_parameter("use_sim_time").value:
             # A timer would skip ticks that come close together in wall time; every one matters in a stepped run.
-            self.create_subscription(Clock, topics.CLOCK, self.on_clock, qos.LOSSLESS)
+            self.listen(Clock, topics.CLOCK, self.on_clock, qos.LOSSLESS)
         else:
             self.create_timer(1.0 / settings.rate_hz, self.publish_now)
         # Before /clock ticks (it may wait for us), the start configuration must already be known.
@@ -102,8 +103,7 @@ class SimulatedArm(GraphNode):
         self.controller.update(now_ns)
         if self.controller.ended != self.ended:
             self.ended = self.controller.ended
-            if self.ended:
-                self.get_logger().warning(f"trajectory given up: {self.ended}")
+            self.warn({"trajectory": f"given up: {self.ended}"} if self.ended else {})
         q, v = self.controller.q, self.controller.v
         self.publisher.publish(conversions.joint_state(RIGHT_ARM_JOINTS, q, now_ns, v=v))
 

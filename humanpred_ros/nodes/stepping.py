@@ -12,7 +12,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from humanpred_ros import topics
 from humanpred_ros.errors import PlanningError, UsageError
 from humanpred_ros.nodes import conversions, qos
-from humanpred_ros.nodes.base import READY, GraphNode
+from humanpred_ros.nodes.base import GraphNode
 
 #: How often it is looked whether a posture is due in real time, and whether anything else is to be waited for.
 _DUE_PERIOD_S, _WAIT_PERIOD_S = 0.004, 0.04
@@ -46,17 +46,20 @@ class SteppedSource(GraphNode):
         self.begun, self.begun_s = False, 0.0
         self._ready_timeout_s, self._decision_timeout_s = patience_s
         self._wanted = [peer.strip() for peer in peers.split(",") if peer.strip()]
-        self._seen: dict[str, str] = {}
+        self._ready: set[str] = set()
         self._awaited_ns: int | None = None
         self._waiting_since_s = time.monotonic()
         self._clock_publisher = self.create_publisher(ClockMessage, topics.CLOCK, qos.COMMAND) if clock else None
         self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.COMMAND)
-        self.create_subscription(DiagnosticArray, topics.DECISION, self._on_decision, qos.LOSSLESS)
+        self.listen(DiagnosticArray, topics.DECISION, self._on_decision, qos.LOSSLESS)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(_WAIT_PERIOD_S, self._poll, clock=self._steady)
 
     def waiting_for(self) -> str:
-        return ", ".join(peer for peer in self._wanted if self._seen.get(peer) != READY)
+        return "" if self.begun else ", ".join(peer for peer in self._wanted if peer not in self._ready)
+
+    def working(self) -> str:
+        return "replaying" if self.begun else super().working()
 
     def begin(self) -> None:
         """Called once when everybody is ready."""
@@ -88,8 +91,10 @@ class SteppedSource(GraphNode):
         rclpy.try_shutdown()
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        # Whatever a peer does now: one that holds, or whose inputs are silent, waits for this node to begin.
         for status in message.status:
-            self._seen[status.name] = status.message
+            ready = any(item.key == "ready" and item.value == "true" for item in status.values)
+            (self._ready.add if ready else self._ready.discard)(status.name)
 
     def _on_decision(self, message: DiagnosticArray) -> None:
         if message.status[0].message == "arrived":

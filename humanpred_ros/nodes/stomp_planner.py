@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from dataclasses import replace
@@ -21,6 +22,7 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
+from humanpred_ros.nodes.inputs import kind_of
 from humanpred_ros.nodes.markers import candidate_markers, rollout_markers
 from humanpred_ros.nodes.parameters import declare, plugin_parameters
 from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, Decision
@@ -114,7 +116,7 @@ class StompPlannerNode(GraphNode):
         self.following = ArmFollowing(self.replanner.joint_names, settings.part(FollowingSettings))
         self.arm_q: FloatArray | None = None
         self.arm_v: FloatArray = np.zeros(len(self.replanner.joint_names))
-        self.begun = self.holding = False
+        self.begun = self.holding = self.told_hold = False
         self.lost_s = 0.0
         self.origin_ns = self.last_ns = self.last_now_ns = 0
         # When the newest usable occupancy and the newest joint state came, on a clock that nobody sets.
@@ -126,13 +128,13 @@ class StompPlannerNode(GraphNode):
         self.candidate_publisher = self.create_publisher(MarkerArray, topics.CANDIDATES, qos.MARKERS)
         self.rollout_publisher = self.create_publisher(MarkerArray, topics.ROLLOUTS, qos.MARKERS)
         self.add_on_set_parameters_callback(self.on_parameters)
-        self.create_subscription(JointState, topics.JOINT_STATES, self.on_joint_state, qos.ARM)
-        self.create_subscription(
-            PointCloud2,
-            topics.OCCUPANCY,
-            self.on_occupancy,
-            qos.sensor_subscription(settings.lossless, newest_only=True),
-        )
+        self.hardware_id = self.trajectory_publisher.topic_name.rpartition("/")[0]
+        arm_age_s, human_age_s = settings.max_arm_age_s, settings.max_human_age_s
+        if settings.lossless:
+            arm_age_s = human_age_s = math.inf
+        self.listen(JointState, topics.JOINT_STATES, self.on_joint_state, qos.ARM, max_age_s=arm_age_s)
+        profile = qos.sensor_subscription(settings.lossless, newest_only=True)
+        self.listen(PointCloud2, topics.OCCUPANCY, self.on_occupancy, profile, max_age_s=human_age_s)
         # A thread of its own: what protects must not wait for planning, or for a clock that has stopped.
         self._closing = threading.Event()
         self._watchdog = threading.Thread(target=self._watch, name="watchdog", daemon=True)
@@ -154,20 +156,26 @@ class StompPlannerNode(GraphNode):
     def holding_because(self) -> str:
         return self.replanner.held
 
+    def working(self) -> str:
+        return "planning" if self.begun else super().working()
+
+    def facts(self) -> dict[str, str]:
+        return {"following_error_rad": f"{self.following.error_rad:.4f}"} if self.begun else {}
+
     def close(self) -> None:
         self._closing.set()
         self._watchdog.join()
 
-    def on_joint_state(self, message: JointState) -> None:
-        """Compare where the arm is with where it was commanded to be; messages about other joints are passed over."""
+    def on_joint_state(self, message: JointState) -> bool:
+        """Compare where the arm is with where it was commanded to be; return False for other joints' messages."""
         if not set(message.name) & set(self.replanner.joint_names):
-            return
+            return False
         try:
             q = conversions.ordered_positions(message, self.replanner.joint_names)
             v = conversions.ordered_velocities(message, self.replanner.joint_names)
         except ArrayError as error:
             self.refuse(str(error))
-            return
+            return True
         with self.replanner.lock:
             self.arm_came_s = time.monotonic()
             if self.begun:
@@ -178,6 +186,7 @@ class StompPlannerNode(GraphNode):
             self.arm_q, self.arm_v = q, self.following.velocity if v is None else v
             if self.begun and not self.settings.lossless:
                 self._check_arm(conversions.stamp_ns(message.header.stamp))
+        return True
 
     def _check_arm(self, stamp_ns: int) -> None:
         """Hold when the arm is not where it was commanded to be; go on from where it is once it rests."""
@@ -348,10 +357,11 @@ class StompPlannerNode(GraphNode):
                 self.trajectory_publisher.publish(
                     conversions.trajectory_message(self.replanner.joint_names, motion, self.origin_ns)
                 )
-        if decision.goals or decision.action == HOLD:
-            # People want to see what changes; that a goal is kept is only worth a look when searching a fault.
-            log = self.get_logger().debug if decision.action == "keep" else self.get_logger().info
-            log(f"t {decision.stamp_s:5.2f} s  {decision.summary()}")
+        # People want to see what changes; that a goal is kept changes nothing, unless it ends a hold.
+        if decision.action != KEEP or self.told_hold:
+            self.told_hold = decision.action == HOLD
+            kind = (decision.action, kind_of(decision.reason), decision.chosen)
+            self.tell(kind, f"t {decision.stamp_s:5.2f} s  {decision.summary()}")
         self.decision_publisher.publish(conversions.decision_message(decision, stamp_ns, compute_ms))
         if decision.goals and self.candidate_publisher.get_subscription_count():
             paths = [

@@ -86,7 +86,7 @@ def test_places_are_changed_refused_and_warned_about(tmp_path: Path) -> None:
         client.set_places(Places.of({**own.by_label, 9: [6.0, 0.0, 1.0]}))
         client.go_on(5)
         client.wait(lambda: "warning/place 9" in client.diagnostics[1], "the warning")
-        assert client.diagnostics[0] == "ready"
+        assert client.diagnostics[0] == "predicting"
         assert "out of reach" in client.diagnostics[1]["warning/place 9"]
         done, _ = client.set_parameter("places", [""])
         assert done
