@@ -66,7 +66,8 @@ SCENE_NAME = "face_to_face"
 _START_NS = 1_700_000_000 * conversions.NS_PER_S
 #: Growth of this process while a node is fuzzed, beyond its first fifth, MB.
 GROWTH_MB = 150.0
-_GOOD, _BAD = (20, 140), (1, 12)
+#: Lengths of stretches of good and of spoilt messages.
+_GOOD, _BAD = (4, 120), (1, 40)
 #: A handler that does not return for so long ends the process, with a trace of where it is.
 _DEAD_S = 60.0
 

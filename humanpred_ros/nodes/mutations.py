@@ -16,8 +16,10 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 _SEC, _NANOSEC = (-(2**31), 2**31 - 1), 2**32 - 1
 _NUMBERS = (np.nan, np.inf, -np.inf, 0.0, -0.0, 5e-324, 1e-12, 1e308, -1e308, 1e30, 1e6, 100.0, -7.0, 2.0 * np.pi)
-_TEXTS = ("", " ", "\0", "kinect", "world", "/world", "WORLD", "x", "PelvisTransX", "r_shoulder_pan_joint",
-          "arrived", "hold", "ready", "\u00e4\u4e16\U0001f600", "[bold]", "<script>", "%s%n{0}", "../../etc", "unknown: ")  # fmt: skip
+_TEXTS = (
+    *("", " ", "\0", "kinect", "world", "/world", "WORLD", "x", "PelvisTransX", "r_shoulder_pan_joint", "arrived"),
+    *("hold", "ready", "\u00e4\u4e16\U0001f600", "[bold]", "<script>", "%s%n{0}", "../../etc", "unknown: "),
+)
 _LONG = 100_000
 #: Where sizes and offsets go wrong.
 _SIZES = (0, 1, 2, 3, 4, 7, 8, 12, 15, 16, 17, 255, 4096, 2**16, 2**31 - 1, 2**31, 2**32 - 1)
