@@ -453,7 +453,7 @@ class Fuzzing:
             case.handler(*case.arguments)
             answered = self.target.answered(None)
         except (Exception, SystemExit):
-            self._fail(traceback.format_exc(limit=-3), case)
+            self._fail(traceback.format_exc(limit=-2), case)
             answered = False, False
         taken_s = time.monotonic() - begun_s
         self.slowest_s = max(self.slowest_s, taken_s)
@@ -489,7 +489,7 @@ def fuzz(names: list[str], n: int, seed: int) -> None:
             print(json.dumps({"target": name, **told}), flush=True)
 
 
-def main() -> None:
+def command_line() -> None:
     """Read the arguments and fuzz."""
     known = list(targets())
     parser = argparse.ArgumentParser(description="show nodes mutated messages")
@@ -506,4 +506,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    command_line()

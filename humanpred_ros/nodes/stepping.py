@@ -97,7 +97,7 @@ class SteppedSource(GraphNode):
             (self._ready.add if ready else self._ready.discard)(status.name)
 
     def _on_decision(self, message: DiagnosticArray) -> None:
-        if message.status[0].message == "arrived":
+        if message.status and message.status[0].message == "arrived":
             self.arrived()
         if self.finished:
             return
