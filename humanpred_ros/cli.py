@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import inspect
+import io
 import os
 import re
 import signal
@@ -15,9 +16,10 @@ from functools import partial
 from typing import Any, Literal, NoReturn, get_args, get_origin, get_type_hints
 
 from rich.console import Console
+from rich.text import Text
 
 from humanpred_ros import __version__
-from humanpred_ros.errors import HumanPredError, SettingsError, UsageError
+from humanpred_ros.errors import HumanPredError, SettingsError, UsageError, one_line, printable
 from humanpred_ros.settings import Settings, facts_of, spelled
 
 #: Width of tables that go to a file or another program.
@@ -54,7 +56,11 @@ Command = Callable[[Any, Console], int]
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; return the exit status: 0 done, 1 a check found a problem, 2 bad input, 130 interrupted."""
     words = sys.argv[1:] if arguments is None else arguments
-    console = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else _WIDTH_OF_FILES)
+    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else _WIDTH_OF_FILES
+    console = PlainConsole(width=width, markup=False, emoji=False)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # names of files need not be text
     try:
         with _interruptible():
             if words[:1] in (["-h"], ["--help"], ["--version"]):
@@ -65,9 +71,19 @@ def main(arguments: list[str] | None = None) -> int:
     except HumanPredError as error:
         print(f"humanpred: {error}", file=sys.stderr)
         return 2
+    except (OSError, MemoryError) as error:  # of places to write that nobody checks, and of a machine that is full
+        print(f"humanpred: {one_line(str(error)) or 'out of memory'}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print("humanpred: interrupted", file=sys.stderr)
         return 130
+
+
+class PlainConsole(Console):
+    """A console that prints names and paths as they are: they may be a stranger's, and hold markup or commands."""
+
+    def render_str(self, text: str, **how: Any) -> Text:
+        return super().render_str(printable(text), **how)
 
 
 def parse(words: Sequence[str]) -> tuple[Command, Any]:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from humanpred_ros.plugins import SET, given_settings
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from humanpred_ros.bags.salvage import BagReport
 
 _FRAME_PERIOD_S = 1 / 60
+#: Problems of a bag that are listed.
+_LISTED = 50
 
 
 class TrainSettings(Settings):
@@ -42,7 +45,7 @@ def train(settings: TrainSettings, console: Console) -> int:
         library = library.select(lambda motion: motion.name not in held_out)
     given = given_settings(settings.set, settings.classifier)
     chosen = {name: classifier_settings(name, settings.seed, given) for name in settings.classifier}
-    with console.status(f"training on {len(library)} motions of {library.name}"):
+    with console.status(escape(f"training on {len(library)} motions of {library.name}")):
         model = train_model(library, human_with(library.dof_names), chosen)
     save_model(model, settings.out)
     what = f"{', '.join(chosen)}; {len(library.labels)} classes from {len(library)} motions of {library.name}"
@@ -82,7 +85,7 @@ def replay(settings: ReplaySettings, console: Console) -> int:
     with console.status("feeding the recorded occupancy to a fresh planner"):
         comparison = replay_run(settings.run, settings.out or settings.run / "replayed_bag")
     for difference in comparison.differing[:10]:
-        console.print(difference, markup=False, highlight=False)
+        console.print(difference, highlight=False)
     console.print(
         f"{comparison.n_decisions} decisions, {comparison.n_trajectories} trajectories: "
         + (f"{len(comparison.differing)} differ" if comparison.differing else "reproduced bit for bit")
@@ -124,6 +127,8 @@ def _print_bag(found: BagReport, console: Console) -> None:
     for topic, count in sorted(found.messages.items()):
         table.add_row(topic, str(count))
     console.print(table)
-    for problem in found.problems:
-        console.print(f"problem: {problem}", markup=False)
+    for problem in found.problems[:_LISTED]:
+        console.print(f"problem: {problem}", highlight=False)
+    if len(found.problems) > _LISTED:
+        console.print(f"and {len(found.problems) - _LISTED} more problems")
     console.print("all is well" if found.ok else "not all is well")

@@ -2,9 +2,31 @@
 
 from __future__ import annotations
 
+#: Longer messages hold somebody's data, not an explanation.
+_LONGEST = 2000
+
 
 class HumanPredError(Exception):
-    """Base of every error this package raises on purpose; the command line exits with status 2 on it."""
+    """Base of every error this package raises on purpose; the command line exits with status 2 on it.
+
+    Its text is one line without control characters, whatever came: it may quote a stranger's file to a terminal.
+    """
+
+    def __str__(self) -> str:
+        return one_line(super().__str__())
+
+
+def one_line(text: str) -> str:
+    """Return a text as one line of at most 2000 characters; what does not print is written as Python's escapes."""
+    text = printable(" ".join(text[: 2 * _LONGEST].split()))
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+
+
+def printable(text: str) -> str:
+    """Return a text in which what does not print, such as a terminal's commands, is written as Python's escapes."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
 class UsageError(HumanPredError):

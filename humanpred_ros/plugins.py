@@ -20,9 +20,8 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, TypeAlias, TypeVar
 
-import yaml
-
 from humanpred_ros.errors import SettingsError, UsageError
+from humanpred_ros.files import yaml_of
 from humanpred_ros.settings import Settings, spelled
 
 #: Groups of entry points.
@@ -121,8 +120,8 @@ def given_settings(words: Sequence[str], used: Iterable[str] | None = None) -> d
                 f"--set {word}: wanted a setting of what is used ({', '.join(allowed)}), got one of {name}"
             )
         try:
-            value = yaml.safe_load(text)
-        except yaml.YAMLError:
+            value = yaml_of(text)
+        except ValueError:
             value = text
         put_given(given, (name, *keys), value)
     return given

@@ -12,7 +12,7 @@ ORDER = (
     "geometry", "bags", "human", "motion", "recognition", "occupancy", "stomp", "reaching", "robot", "planning",
     "viewing", "api", "__init__", "evaluation", "nodes", "commands", "cli",
 )  # fmt: skip
-SHARED = {"errors", "plugins", "resources", "settings", "topics", "__version__"}
+SHARED = {"errors", "files", "plugins", "resources", "settings", "topics", "__version__"}
 ROS_MODULES = {
     "rclpy", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "rcl_interfaces", "rosgraph_msgs",
     "sensor_msgs", "std_msgs", "trajectory_msgs", "visualization_msgs",

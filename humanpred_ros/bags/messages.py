@@ -68,8 +68,8 @@ def serialise(message: Any) -> bytes:
     return bytes(typestore().serialize_cdr(message, message.__msgtype__))
 
 
-def decode_with(store: Any, data: bytes, msgtype: str) -> Any:
-    """Return the message in CDR bytes, by the types of `store` (a bag may bring its own). Raises BagError.
+def decode(data: bytes, msgtype: str) -> Any:
+    """Return the message in CDR bytes. Raises BagError, also for a type outside Jazzy's common interfaces.
 
     Bytes after the message are ignored, as rclpy does: its serializer leaves some, the size being an estimate.
     """
@@ -77,6 +77,9 @@ def decode_with(store: Any, data: bytes, msgtype: str) -> Any:
         raise BagError(
             f"wanted CDR bytes holding a {msgtype}, got {data[:4].hex() or 'nothing'}; check what wrote them"
         )
+    store = typestore()
+    if msgtype not in store.fielddefs:
+        raise BagError(f"wanted a message of ROS 2 Jazzy's common interfaces, got one of type {msgtype!r:.120}")
     try:
         definition = store.get_msgdef(msgtype)
         decode = definition.deserialize_cdr_le if data[1] else definition.deserialize_cdr_be

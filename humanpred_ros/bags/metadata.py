@@ -12,6 +12,7 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from humanpred_ros.errors import BagError
+from humanpred_ros.files import read_yaml, yaml_of
 
 _VERSION = 9
 _ROS_DISTRO = "jazzy"
@@ -104,16 +105,17 @@ def read_metadata(path: Path) -> tuple[tuple[str, ...], dict[str, int]]:
         BagError: unreadable, not rosbag2's, another storage, or compressed as a whole.
     """
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = read_yaml(path, BagError)
         information = content["rosbag2_bagfile_information"]
         storage = str(information["storage_identifier"])
         mode = str(information.get("compression_mode") or "").lower()
-        files = tuple(Path(name).name for name in information["relative_file_paths"])
+        # What whole-file paths lead to (rosbag2 wrote some) is beside metadata.yaml, nowhere else.
+        files = tuple(str(name).rpartition("/")[2] for name in information["relative_file_paths"])
         counts = {
             str(entry["topic_metadata"]["name"]): int(entry["message_count"])
             for entry in information["topics_with_message_count"]
         }
-    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as trouble:
+    except (BagError, KeyError, TypeError, ValueError, AttributeError) as trouble:
         raise BagError(
             f"{path}: wanted rosbag2's metadata, got something else ({type(trouble).__name__}: {trouble}); "
             "rebuild it with: humanpred bag salvage"
@@ -139,7 +141,7 @@ def qos_from(records: list[dict[str, Any]] | str) -> tuple[Qos, ...]:
     """Return the profiles of a bag of any rosbag2 version. Raises BagError where they cannot be parsed."""
     try:
         # Typed for its own dictionaries only; other tools write the same keys.
-        return tuple(parse_qos(records))  # type: ignore[arg-type, unused-ignore]
+        return tuple(parse_qos(yaml_of(records) if isinstance(records, str) else records))  # type: ignore[arg-type, unused-ignore]
     except Exception as trouble:  # rosbags lets KeyError, TypeError and YAML errors of strange profiles through
         raise BagError(
             f"wanted offered_qos_profiles as rosbag2 writes them, got {records!r:.120} ({trouble})"

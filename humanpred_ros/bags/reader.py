@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import heapq
+import mmap
 import struct
 import zlib
 from collections import Counter
@@ -11,39 +13,35 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import IO, Any, NamedTuple
 
-import zstandard
-from mcap.exceptions import McapError
-from mcap.reader import NonSeekingReader, SeekingReader
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Message, Schema
 
-from humanpred_ros.bags.messages import decode_with, typestore
+from humanpred_ros.bags.chunks import (
+    MAGIC,
+    MCAP_TROUBLE,
+    RECORD_HEADER,
+    Budget,
+    Chunk,
+    Damage,
+    inner_records,
+    spell,
+    walk,
+)
+from humanpred_ros.bags.messages import decode
 from humanpred_ros.bags.metadata import TopicInfo, qos_from, read_metadata
+from humanpred_ros.bags.writer import LAST_TIME_NS
 from humanpred_ros.errors import BagError
+from humanpred_ros.files import file_inside, open_plain
 
-MAGIC = b"\x89MCAP0\r\n"
-#: Opcode and length in front of every record's content.
-RECORD_HEADER = struct.Struct("<BQ")
 _FOOTER = struct.Struct("<BQQQI")
 _DATA_END = struct.Struct("<BQI")
 _FOOTER_OPCODE, _DATA_END_OPCODE = 0x02, 0x0F
 _TAIL_BYTES = _FOOTER.size + len(MAGIC)
 _BLOCK_BYTES = 1 << 20
+#: Messages that are kept at a time while they are put in order, and metadata records.
+_MOST_HELD, _MOST_RECORDS = 1_000_000, 1_000
 
 SALVAGE_HINT = "recover what is intact with: humanpred bag salvage"
-
-#: What mcap, its decompressors and the unpacking of damaged bytes raise (CRC errors are ValueErrors).
-MCAP_TROUBLE: tuple[type[Exception], ...] = (
-    McapError,
-    zstandard.ZstdError,
-    struct.error,
-    ValueError,
-    LookupError,
-    TypeError,
-    OverflowError,
-    MemoryError,
-    EOFError,
-    RuntimeError,
-)
 
 
 class BagMessage(NamedTuple):
@@ -74,12 +72,10 @@ class BagReader:
         self.files = bag_files(self.path)
         self._frames: dict[Path, FileFrame] = {}
         for file in self.files:
-            with _opened(file) as stream:
+            with open_plain(file, BagError) as stream:
                 frame = self._frames[file] = inspect_frame(file, stream)
             if frame.trouble:
                 raise BagError(f"{file}: {frame.trouble}; {SALVAGE_HINT}")
-        self._definitions: dict[str, str] = {}
-        self._stores: dict[str, Any] = {}
         self._metadata: dict[str, Mapping[str, str]] = {}
         topics: dict[str, TopicInfo] = {}
         starts: list[int] = []
@@ -126,15 +122,17 @@ class BagReader:
         return topic
 
     def decode(self, message: BagMessage) -> Any:
-        """Return the deserialised message, by the bag's own definition where the type is not a common one.
+        """Return the deserialised message; its type must be one of Jazzy's common interfaces.
+
+        Definitions in a bag are copied, never used: decoders are programs, and would be made from a stranger's text.
 
         Raises:
-            BagError: not CDR, no usable definition, or damaged bytes.
+            BagError: not CDR, another type, or damaged bytes.
         """
         encoding = self.topics[message.topic].encoding
         if encoding != "cdr":
             raise BagError(f"{self.path}: topic {message.topic}: wanted cdr messages, got {encoding}")
-        return decode_with(self._store_of(message.msgtype), message.data, message.msgtype)
+        return decode(message.data, message.msgtype)
 
     def decoded(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Yield (log time in nanoseconds, deserialised message) of one topic."""
@@ -144,14 +142,18 @@ class BagReader:
     def _messages(self, wanted: list[str] | None) -> Iterator[BagMessage]:
         for file in self.files:
             summary = self._frames[file].summary
-            # Without an index mcap's seeking reader would fall back to one that checks nothing.
-            kind = SeekingReader if summary is not None and summary.chunk_indexes else NonSeekingReader
-            with _opened(file) as stream:
+            with open_plain(file, BagError) as stream:
                 try:
-                    reader: Any = kind(stream, validate_crcs=True)
-                    for schema, channel, message in reader.iter_messages(topics=wanted):
-                        msgtype = "" if schema is None else schema.name
-                        yield BagMessage(channel.topic, msgtype, message.log_time, message.publish_time, message.data)
+                    indexed = summary is not None and summary.chunk_indexes
+                    records = _indexed(stream, summary, wanted) if indexed else _linear(stream)
+                    for schema, channel, message in records:
+                        if wanted is None or channel.topic in wanted:
+                            if max(message.log_time, message.publish_time) > LAST_TIME_NS:
+                                raise ValueError(f"a time of {message.log_time} ns does not fit 64 bits")
+                            msgtype = "" if schema is None else schema.name
+                            yield BagMessage(
+                                channel.topic, msgtype, message.log_time, message.publish_time, message.data
+                            )
                 except MCAP_TROUBLE as trouble:
                     raise BagError(
                         f"{file}: wanted intact data, got damage ({spell(trouble)}); {SALVAGE_HINT}"
@@ -160,10 +162,12 @@ class BagReader:
     def _topics_of(self, file: Path, starts: list[int], ends: list[int]) -> list[TopicInfo]:
         summary = self._frames[file].summary
         try:
-            with _opened(file) as stream:
+            with open_plain(file, BagError) as stream:
                 if summary is None or summary.statistics is None:
                     return self._topics_by_reading(stream, starts, ends)
                 reader: Any = SeekingReader(stream)
+                if len(summary.metadata_indexes) > _MOST_RECORDS:
+                    raise ValueError(f"more than {_MOST_RECORDS} metadata records")
                 for record in reader.iter_metadata():
                     self._metadata[record.name] = MappingProxyType(dict(record.metadata))
                 statistics = summary.statistics
@@ -171,7 +175,11 @@ class BagReader:
                     starts.append(statistics.message_start_time)
                     ends.append(statistics.message_end_time)
                 return [
-                    self._topic(channel, summary.schemas.get(channel.schema_id), statistics.channel_message_counts)
+                    topic_of(
+                        channel,
+                        summary.schemas.get(channel.schema_id),
+                        statistics.channel_message_counts.get(channel.id, 0),
+                    )
                     for channel in summary.channels.values()
                 ]
         except MCAP_TROUBLE as trouble:
@@ -183,30 +191,12 @@ class BagReader:
         """Count messages in a file that has no statistics."""
         seen: dict[int, tuple[Any, Any]] = {}
         counts: Counter[int] = Counter()
-        reader: Any = NonSeekingReader(stream, validate_crcs=True)
-        for schema, channel, message in reader.iter_messages(log_time_order=False):
+        for schema, channel, message in _linear(stream):
             seen[channel.id] = (channel, schema)
             counts[channel.id] += 1
             starts.append(message.log_time)
             ends.append(message.log_time)
-        return [self._topic(channel, schema, counts) for channel, schema in seen.values()]
-
-    def _topic(self, channel: Any, schema: Any, counts: Mapping[int, int]) -> TopicInfo:
-        if schema is not None and schema.encoding == "ros2msg":
-            self._definitions[schema.name] = schema.data.decode("utf-8")
-        return topic_of(channel, schema, counts.get(channel.id, 0))
-
-    def _store_of(self, msgtype: str) -> Any:
-        if msgtype in typestore().fielddefs:
-            return typestore()
-        if msgtype not in self._stores:
-            store: Any = get_typestore(Stores.EMPTY)
-            try:
-                store.register(get_types_from_msg(self._definitions[msgtype], msgtype))
-            except Exception as trouble:  # rosbags' parser fails in its own ways on definitions it does not know
-                raise BagError(f"{self.path}: no usable definition of message type {msgtype} in the bag") from trouble
-            self._stores[msgtype] = store
-        return self._stores[msgtype]
+        return [topic_of(channel, schema, counts[channel.id]) for channel, schema in seen.values()]
 
 
 @dataclass(frozen=True)
@@ -259,9 +249,54 @@ def inspect_frame(path: Path, stream: IO[bytes]) -> FileFrame:
     return FileFrame(summary)
 
 
-def spell(trouble: Exception) -> str:
-    """Return an exception of another library as text; some of them have none."""
-    return f"{type(trouble).__name__}: {trouble}" if str(trouble) else type(trouble).__name__
+def _indexed(stream: IO[bytes], summary: Any, wanted: list[str] | None) -> Iterator[tuple[Any, Any, Any]]:
+    """Yield (schema, channel, message) by log time, each chunk read once, when its first message is due."""
+    due: list[tuple[int, int, int, Any]] = []
+    budget = Budget(stream.seek(0, 2))
+    for index in {index.chunk_start_offset: index for index in summary.chunk_indexes}.values():
+        channels = [summary.channels[channel_id] for channel_id in index.message_index_offsets]
+        if wanted is None or not channels or any(channel.topic in wanted for channel in channels):
+            due.append((index.message_start_time, index.chunk_start_offset, -1, index))
+    heapq.heapify(due)
+    while due:
+        _, offset, _, item = heapq.heappop(due)
+        if isinstance(item, Message):
+            channel = summary.channels[item.channel_id]
+            yield summary.schemas.get(channel.schema_id), channel, item
+            continue
+        stream.seek(offset)
+        chunk = Chunk.at(stream.read(min(item.chunk_length, budget.left)), 0)
+        if not chunk.consistent or chunk.cut_off:
+            raise ValueError("the index leads to something that is no chunk")
+        for k, record in enumerate(inner_records(chunk.content(budget))):
+            if isinstance(record, Message) and (wanted is None or summary.channels[record.channel_id].topic in wanted):
+                heapq.heappush(due, (record.log_time, offset, k, record))
+                _check_held(len(due))
+
+
+def _linear(stream: IO[bytes]) -> Iterator[tuple[Any, Any, Any]]:
+    """Yield (schema, channel, message) by log time, of a file without an index of its chunks."""
+    schemas: dict[int, Any] = {}
+    channels: dict[int, Any] = {}
+    found: list[tuple[Any, Any, Any]] = []
+    with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        for record in walk(data):
+            if isinstance(record, Damage):
+                raise ValueError(record.text)
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                channels[record.id] = record
+            elif isinstance(record, Message):
+                channel = channels[record.channel_id]
+                found.append((schemas.get(channel.schema_id), channel, record))
+                _check_held(len(found))
+    yield from sorted(found, key=lambda entry: int(entry[2].log_time))
+
+
+def _check_held(count: int) -> None:
+    if count > _MOST_HELD:
+        raise ValueError(f"more than {_MOST_HELD} messages in a chunk, or in a file without an index")
 
 
 def _crc_of(stream: IO[bytes], length: int) -> int:
@@ -299,15 +334,8 @@ def bag_files(path: Path) -> tuple[Path, ...]:
                 f"{path}: wanted a complete bag, got one without metadata.yaml (recording interrupted); {SALVAGE_HINT}"
             )
         raise BagError(f"{path}: wanted a rosbag2 directory, got a folder without metadata.yaml and .mcap files")
-    files = tuple(path / name for name in read_metadata(metadata)[0])
+    files = tuple(file_inside(path, name, BagError, str(metadata)) for name in read_metadata(metadata)[0])
     for file in files:
         if not file.is_file():
             raise BagError(f"{path}: wanted {file.name} as metadata.yaml says, it is missing; {SALVAGE_HINT}")
     return files
-
-
-def _opened(file: Path) -> Any:
-    try:
-        return file.open("rb")
-    except OSError as trouble:
-        raise BagError(f"{file}: cannot be opened ({trouble.strerror})") from trouble

@@ -8,39 +8,26 @@ first of its messages.
 
 from __future__ import annotations
 
-import io
 import mmap
 import re
-import struct
-import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import lz4.frame  # type: ignore[import-untyped, unused-ignore]
-import zstandard
-from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
 from mcap.records import Channel, Message, Metadata, Schema
 
+from humanpred_ros.bags.chunks import Damage, walk
 from humanpred_ros.bags.messages import TypeDefinition
 from humanpred_ros.bags.metadata import read_metadata
-from humanpred_ros.bags.reader import MAGIC, MCAP_TROUBLE, RECORD_HEADER, bag_files, inspect_frame, spell, topic_of
-from humanpred_ros.bags.writer import BagWriter
+from humanpred_ros.bags.reader import bag_files, inspect_frame, topic_of
+from humanpred_ros.bags.writer import LAST_TIME_NS, BagWriter
 from humanpred_ros.errors import BagError
+from humanpred_ros.files import open_plain
 
 #: The record rosbag2 keeps its own metadata in; a fresh bag gets a fresh one.
 _ROSBAG2_RECORD = "rosbag2"
-#: First and last message time, uncompressed size, CRC, length of the compression's name.
-_CHUNK_START = struct.Struct("<QQQII")
-_COMPRESSED_SIZE = struct.Struct("<Q")
-_LONGEST_NAME = 16
-_DATA_END_BYTES = 4
-#: Opcodes from here on are private to applications and may be skipped (MCAP specification).
-_PRIVATE_OPCODES = 0x80
-_STEP_BYTES = 4096
 
 
 @dataclass(frozen=True)
@@ -93,6 +80,7 @@ def _examine(path: Path, bag: BagWriter | None) -> BagReport:
         schemas: dict[int, Schema] = {}
         channels: dict[int, Channel] = {}
         lost: Counter[int] = Counter()
+        impossible = 0
         for record in scan_records(file):
             if isinstance(record, Damage):
                 problems.append(f"{file.name}, byte {record.offset}: {record.text}")
@@ -107,12 +95,17 @@ def _examine(path: Path, bag: BagWriter | None) -> BagReport:
                 copied.add(facts)
             elif isinstance(record, Message):
                 channel = channels.get(record.channel_id)
+                if max(record.log_time, record.publish_time) > LAST_TIME_NS:
+                    impossible += 1
+                    continue
                 if channel is None:
                     lost[record.channel_id] += 1
                     continue
                 counts[channel.topic] += 1
                 if bag is not None:
                     _copy(bag, channel, schemas.get(channel.schema_id), record)
+        if impossible:
+            problems.append(f"{file.name}: {impossible} messages with times that do not fit 64 bits")
         for channel_id, count in lost.items():
             problems.append(f"{file.name}: {count} messages of channel {channel_id}, whose description is lost")
     problems += _against_metadata(path, counts)
@@ -155,13 +148,6 @@ def _against_metadata(path: Path, counts: Mapping[str, int]) -> list[str]:
     ]
 
 
-class Damage(NamedTuple):
-    """Something wrong at a byte of the file."""
-
-    offset: int
-    text: str
-
-
 def scan_records(path: Path) -> Iterator[Any]:
     """Yield mcap's Schema, Channel, Message and Metadata records in file order, and Damage where something is wrong.
 
@@ -171,14 +157,14 @@ def scan_records(path: Path) -> Iterator[Any]:
         BagError: the file cannot be opened or does not start like an mcap file.
     """
     try:
-        with path.open("rb") as stream:
+        with open_plain(path, BagError) as stream:
             frame = inspect_frame(path, stream)
             if frame.summary is not None:
                 yield from frame.summary.schemas.values()
                 yield from frame.summary.channels.values()
             with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
                 found = 0
-                for record in _walk(data):
+                for record in walk(data):
                     found += isinstance(record, Message)
                     yield record
                 statistics = None if frame.summary is None else frame.summary.statistics
@@ -188,138 +174,3 @@ def scan_records(path: Path) -> Iterator[Any]:
                     yield Damage(len(data), frame.trouble)
     except OSError as trouble:
         raise BagError(f"{path}: cannot be read ({trouble.strerror}); check that it is there") from trouble
-
-
-def _walk(data: mmap.mmap) -> Iterator[Any]:
-    position, size = len(MAGIC), len(data)
-    # Up to here nothing can be missed: after damage the search for the next chunk starts here, not at the
-    # damage, because a wrong length may have led over several chunks before anything looked wrong.
-    sure = position
-    while position < size:
-        # Zeros stand for a header that the end of the file cuts off: there is no such opcode.
-        opcode, length = RECORD_HEADER.unpack(
-            data[position : position + RECORD_HEADER.size].ljust(RECORD_HEADER.size, b"\0")
-        )
-        end = position + RECORD_HEADER.size + length
-        if opcode == Opcode.DATA_END and length == _DATA_END_BYTES:
-            return
-        try:
-            if opcode == Opcode.CHUNK:
-                sure = position + 1
-                chunk = _Chunk.at(data, position)
-                yield from _inner_records(chunk.content())
-                if not chunk.consistent or chunk.cut_off:
-                    raise ValueError("the file ends inside it" if chunk.consistent else "its length is wrong")
-                sure = end
-            elif end > size:
-                raise ValueError("the file ends inside it")
-            elif not (Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _PRIVATE_OPCODES):
-                raise ValueError(f"there is no kind {opcode}")
-            else:
-                yield from _record(data[position + RECORD_HEADER.size : end], opcode)
-            position = end
-        except MCAP_TROUBLE as trouble:
-            what = "chunk" if opcode == Opcode.CHUNK else "record"
-            yield Damage(position, f"damaged {what} ({spell(trouble)})")
-            position = _next_chunk(data, sure)
-
-
-@dataclass(frozen=True)
-class _Chunk:
-    """A chunk's header and as much of its compressed bytes as there are."""
-
-    uncompressed_size: int  #: from its header
-    crc: int
-    compression: str
-    consistent: bool  #: the record's length and the compressed size agree
-    cut_off: bool  #: the compressed bytes should go on beyond the end of the file
-    compressed: bytes  #: the bytes there are
-
-    @staticmethod
-    def at(data: mmap.mmap, position: int) -> _Chunk:
-        """Return the chunk record starting at `position`. Raises ValueError if there is no whole header."""
-        start = position + RECORD_HEADER.size
-        if start + _CHUNK_START.size + _LONGEST_NAME + _COMPRESSED_SIZE.size > len(data):
-            raise ValueError("the file ends inside its header")
-        _, length = RECORD_HEADER.unpack_from(data, position)
-        _, _, uncompressed_size, crc, name_length = _CHUNK_START.unpack_from(data, start)
-        if name_length > _LONGEST_NAME:
-            raise ValueError("its compression has no sensible name")
-        name_start = start + _CHUNK_START.size
-        size_start = name_start + name_length
-        (compressed_size,) = _COMPRESSED_SIZE.unpack_from(data, size_start)
-        first = size_start + _COMPRESSED_SIZE.size
-        end = first + compressed_size
-        return _Chunk(
-            uncompressed_size,
-            crc,
-            data[name_start:size_start].decode("ascii", "replace"),
-            start + length == end,
-            end > len(data),
-            data[first : min(end, len(data))],
-        )
-
-    def content(self) -> bytes:
-        """Return the records inside: all of them, verified, or what the end of the file left of them.
-
-        Raises:
-            one of MCAP_TROUBLE: the chunk is damaged.
-        """
-        content = self._decompressed()
-        if len(content) == self.uncompressed_size:
-            if self.crc and zlib.crc32(content) != self.crc:
-                raise ValueError("its checksum is wrong")
-        elif not (self.cut_off and self.consistent) or len(content) > self.uncompressed_size:
-            raise ValueError(f"it holds {len(content)} bytes instead of {self.uncompressed_size}")
-        return content
-
-    def _decompressed(self) -> bytes:
-        if self.compression == "":
-            return self.compressed
-        if self.compression == "zstd":
-            decoder: Any = zstandard.ZstdDecompressor().decompressobj()
-        elif self.compression == "lz4":
-            decoder = lz4.frame.LZ4FrameDecompressor()
-        else:
-            raise ValueError(f"unknown compression {self.compression!r}")
-        # In small steps: a decoder keeps back what a step that fails had already given.
-        steps = range(0, len(self.compressed), _STEP_BYTES)
-        return b"".join(decoder.decompress(self.compressed[k : k + _STEP_BYTES]) for k in steps)
-
-
-def _inner_records(content: bytes) -> Iterator[Any]:
-    """Yield the complete records at the start of a chunk's content."""
-    position = 0
-    while position + RECORD_HEADER.size <= len(content):
-        opcode, length = RECORD_HEADER.unpack_from(content, position)
-        start, position = position + RECORD_HEADER.size, position + RECORD_HEADER.size + length
-        if position <= len(content):
-            yield from _record(content[start:position], opcode)
-
-
-def _record(body: bytes, opcode: int) -> Iterator[Any]:
-    """Yield the record in `body` if it is of a kind that matters here."""
-    stream = ReadDataStream(io.BytesIO(body))
-    if opcode == Opcode.MESSAGE:
-        yield Message.read(stream, len(body))
-    elif opcode == Opcode.SCHEMA:
-        yield Schema.read(stream)
-    elif opcode == Opcode.CHANNEL:
-        yield Channel.read(stream)
-    elif opcode == Opcode.METADATA:
-        yield Metadata.read(stream)
-
-
-def _next_chunk(data: mmap.mmap, position: int) -> int:
-    """Return the offset of the next chunk at or after `position`, or the end of the file.
-
-    A chunk states its length twice, 64 bits each: where both agree there is one, whatever comes before it.
-    """
-    while (position := data.find(bytes([Opcode.CHUNK]), position)) >= 0:
-        try:
-            if _Chunk.at(data, position).consistent:
-                return position
-        except MCAP_TROUBLE:
-            pass
-        position += 1
-    return len(data)

@@ -23,7 +23,8 @@ from humanpred_ros.errors import BagError
 from humanpred_ros.settings import Settings, setting
 
 _COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
-_LAST_TIME_NS = 2**63 - 1
+#: Times are nanoseconds since the epoch in 64 bits with a sign.
+LAST_TIME_NS = 2**63 - 1
 
 
 class StorageOptions(Settings):
@@ -74,7 +75,7 @@ class BagWriter:
         self._schemas: dict[tuple[str, str], int] = {}
         self._counts: dict[str, int] = {}
         self._custom: dict[str, str] = {}
-        self._start_ns, self._end_ns = _LAST_TIME_NS, 0
+        self._start_ns, self._end_ns = LAST_TIME_NS, 0
         self._pending = 0
         self._overwrite = overwrite
         name = self.directory.name
@@ -172,7 +173,7 @@ class BagWriter:
         if topic not in self._channels:
             raise BagError(f"topic {topic}: wanted one of {list(self._topics)}; announce it with add_topic first")
         sent_ns = log_time_ns if publish_time_ns is None else publish_time_ns
-        if not (0 <= log_time_ns <= _LAST_TIME_NS and 0 <= sent_ns <= _LAST_TIME_NS):
+        if not (0 <= log_time_ns <= LAST_TIME_NS and 0 <= sent_ns <= LAST_TIME_NS):
             raise BagError(f"topic {topic}: wanted times from 0 to 2^63 - 1 ns, got {log_time_ns} and {sent_ns}")
         with self._writing():
             self._mcap.add_message(self._channels[topic], int(log_time_ns), bytes(data), int(sent_ns))

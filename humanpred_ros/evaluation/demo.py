@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
+from rich.markup import escape
 
 from humanpred_ros import __version__, plugins
 from humanpred_ros.errors import LibraryFormatError, UsageError
@@ -31,7 +32,7 @@ from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR, SET, Given, given_settings, parameters_of
 from humanpred_ros.resources import locate
-from humanpred_ros.robot.scene_file import read_scene_file
+from humanpred_ros.robot.scene_file import RECORDED_SCENE, read_scene_file, scene_names
 from humanpred_ros.settings import Settings, setting, setting_of
 
 if TYPE_CHECKING:
@@ -153,6 +154,8 @@ def _start(
         },
     )
     group.start("simulated_arm", common)
+    if settings.scene not in scene_names():
+        shutil.copyfile(settings.scene, folder / RECORDED_SCENE)
     model = _model(settings, given, library, motion, folder / "model.npz", console)
     group.start(
         "occupancy_predictor",
@@ -209,7 +212,7 @@ def _model(
     if predictor_type(settings.predictor).needs_model:
         training = training_part(library, motion, settings.hold_out)
         names = needed_classifiers(settings.predictor, settings.classifier)
-        with console.status(f"training on {len(training)} motions of {library.name}"):
+        with console.status(escape(f"training on {len(training)} motions of {library.name}")):
             found = model_of(training, human, {name: classifier_settings(name, settings.seed, given) for name in names})
         shutil.copyfile(found, path)
     return path

@@ -43,7 +43,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table as ScreenTable
 from rich.text import Text
 
-from humanpred_ros.errors import UsageError
+from humanpred_ros.errors import UsageError, printable
 from humanpred_ros.evaluation.outputs import check_writable, machine_facts, write_csv, write_json, write_plot
 from humanpred_ros.motion.library_io import DEFAULT_FRAME_PERIOD_S, load_library
 from humanpred_ros.motion.motion import MotionLibrary
@@ -150,7 +150,7 @@ class Column:
         if isinstance(value, bool):
             return "yes" if value else "no"
         if isinstance(value, str) or not self.spec:
-            return str(value)
+            return printable(str(value))
         if self.spec.endswith("%"):
             return f"{100.0 * value:{self.spec[:-1]}f} %"
         return f"{value:{self.spec}}"
@@ -318,7 +318,7 @@ def _say_where(console: Console, what: str, path: Path) -> None:
 @contextmanager
 def progress_lines(console: Console) -> Iterator[Begin]:
     """Show how far the work is, and how long it will take, while the block runs; nothing stays behind."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
         preparing = bar.add_task("preparing", total=None)
 

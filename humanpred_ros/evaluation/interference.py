@@ -9,7 +9,6 @@ methods, and has no margin that a planner keeps. Basic STOMP is the same planner
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -32,6 +31,7 @@ from humanpred_ros.evaluation.outputs import library_facts
 from humanpred_ros.evaluation.parallel import map_processes
 from humanpred_ros.evaluation.run_plots import draw_interference
 from humanpred_ros.evaluation.simulation import METHODS, RunSettings, SimulationSettings, first_of_classes
+from humanpred_ros.motion.csv_files import read_records
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.settings import setting
 
@@ -152,15 +152,12 @@ def read_table1(folder: Path) -> dict[int, dict[str, float]]:
         return {}
     costs: dict[int, dict[str, list[float]]] = {}
     try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            for row in csv.DictReader(stream):
-                planner = "ours" if row["planner"] == _PUBLISHED_OURS else "basic"
-                costs.setdefault(int(row["human_traj_id"]), {"ours": [], "basic": []})[planner].append(
-                    float(row["cost"])
-                )
+        for row in read_records(path):
+            planner = "ours" if row["planner"] == _PUBLISHED_OURS else "basic"
+            costs.setdefault(int(row["human_traj_id"]), {"ours": [], "basic": []})[planner].append(float(row["cost"]))
         if not all(len(values) for of_motion in costs.values() for values in of_motion.values()):
             raise ValueError("a trajectory with the runs of one planner only")
-    except (OSError, KeyError, TypeError, ValueError) as trouble:
+    except (KeyError, ValueError) as trouble:
         raise UsageError(
             f"{path}: wanted a CSV file with the columns human_traj_id, planner ({_PUBLISHED_OURS} and another), run "
             f"and cost, got {type(trouble).__name__}: {trouble}; correct or remove it"

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from humanpred_ros import topics
 from humanpred_ros.bags.reader import BagReader
-from humanpred_ros.errors import BagError
+from humanpred_ros.errors import BagError, HumanPredError
 from humanpred_ros.evaluation.processes import NodeGroup, free_domain_id
+from humanpred_ros.files import json_of
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.plugins import given_settings, parameters_of
+from humanpred_ros.robot.scene_file import recorded_scene
 
 #: Facts of a decision that depend on the machine, not on the input.
 _MACHINE_FACTS = {"compute_ms"}
@@ -37,6 +40,7 @@ def replay_run(folder: Path, out: Path) -> Comparison:
     info = recorded.metadata.get("run")
     if info is None:
         raise BagError(f"{folder / 'bag'}: wanted a bag made by `humanpred demo`, this one has no record named run")
+    planner = _planner_parameters(folder, info)
     with NodeGroup(out.parent / f"{out.name}_logs", free_domain_id()) as group:
         group.start(
             "run_recorder",
@@ -48,20 +52,30 @@ def replay_run(folder: Path, out: Path) -> Comparison:
         )
         group.start(
             "stomp_planner",
-            {
-                "use_sim_time": True,
-                "scene": info["scene"],
-                "period_s": float(info["period_s"]),
-                "seed": int(info["seed"]),
-                "cost_terms": info.get("cost_terms", " ".join(ReplannerConfig().cost_terms)).split(),
-                **parameters_of(given_settings(json.loads(info.get("set", "[]")))),
-                "lossless": True,
-                "listener": "occupancy_replay",
-            },
+            {**planner, "use_sim_time": True, "lossless": True, "listener": "occupancy_replay"},
         )
         source = group.start("occupancy_replay", {"bag": str(folder / "bag"), "wait_for": "run_recorder,stomp_planner"})
         group.wait_for(source)
     return compare_bags(recorded, BagReader(out))
+
+
+def _planner_parameters(folder: Path, info: Mapping[str, str]) -> dict[str, Any]:
+    """Return what the planner of a recorded run was told, as the run's facts say; refused before any node starts."""
+    terms = tuple(info.get("cost_terms", " ".join(ReplannerConfig().cost_terms)).split())
+    try:
+        told = json_of(info.get("set", "[]"))
+        if not isinstance(told, list) or not all(isinstance(word, str) for word in told):
+            raise ValueError("wanted a list of texts in `set`")
+        given = parameters_of(given_settings(told))
+        config = ReplannerConfig(period_s=float(info["period_s"]), seed=int(info["seed"]), cost_terms=terms)
+    except (KeyError, ValueError, OverflowError, HumanPredError) as trouble:
+        raise BagError(
+            f"{folder / 'bag'}: the run's facts cannot be used ({type(trouble).__name__}: {trouble})"
+        ) from None
+    scene = recorded_scene(folder, info.get("scene", ""))
+    return {
+        "scene": scene, "period_s": config.period_s, "seed": config.seed, "cost_terms": list(config.cost_terms), **given
+    }  # fmt: skip
 
 
 def compare_bags(first: BagReader, second: BagReader) -> Comparison:

@@ -19,7 +19,18 @@ from humanpred_ros.evaluation.switching_runs import (
     steps_earlier,
 )
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.viewing.figures import ALARM, DASHES, INK, MARKERS, MUTED, SERIES, goal_colours, new_figure, note
+from humanpred_ros.viewing.figures import (
+    ALARM,
+    DASHES,
+    INK,
+    MARKERS,
+    MUTED,
+    SERIES,
+    goal_colours,
+    new_figure,
+    note,
+    plain_powers,
+)
 
 #: What stands for a cost of zero on a logarithmic axis.
 _SMALLEST_COST = 1e-4
@@ -73,6 +84,7 @@ def _draw_costs(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
             **faint,
         )  # fmt: skip
     axes.set_yscale("log")
+    plain_powers(axes.yaxis)
     axes.set_xticks(np.arange(len(rows)), [str(row["number"]) for row in rows])
     axes.set_xlabel("human trajectory")
     axes.set_ylabel("cost")
@@ -141,6 +153,7 @@ def _draw_goal_costs(axes: Axes, curve: Curve, limits: tuple[float, float]) -> N
         axes.axvline(curve.switch, color=INK, linewidth=1.0)
         axes.annotate(f" switch: {curve.switch}", (curve.switch, limits[1]), va="top", fontsize=8.0)
     axes.set_yscale("log")
+    plain_powers(axes.yaxis)
     axes.set_ylim(*limits)
     axes.set_xlim(0.5, max(20, len(curve.costs)) + 0.5)
     axes.set_title(curve.title)

@@ -11,7 +11,6 @@ right from the first step and there is nothing to be decided earlier.
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -39,6 +38,7 @@ from humanpred_ros.evaluation.switching_runs import (
     first_switch,
     variant_figures,
 )
+from humanpred_ros.motion.csv_files import read_records
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.settings import setting
@@ -143,17 +143,15 @@ def read_fig9(folder: Path) -> dict[str, Any] | None:
     if not path.is_file():
         return None
     try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            rows = [
-                (r["variant"], int(r["step"]), int(r["goal"]), r["cup"], float(r["cost"]))
-                for r in csv.DictReader(stream)
-            ]
+        rows = [(r["variant"], int(r["step"]), int(r["goal"]), r["cup"], float(r["cost"])) for r in read_records(path)]
+        if any(not 1 <= step <= len(rows) for _, step, _, _, _ in rows):
+            raise ValueError("a step that is not counted from 1")
         names = {goal: cup for _, _, goal, cup, _ in rows}
         n_steps = max(step for _, step, _, _, _ in rows)
         costs = {variant: np.full((n_steps, len(names)), np.nan) for variant in FIG9_VARIANTS.values()}
         for variant, step, goal, _, cost in rows:
             costs[variant][step - 1, goal] = cost
-    except (OSError, KeyError, IndexError, TypeError, ValueError) as trouble:
+    except (KeyError, IndexError, ValueError) as trouble:
         raise UsageError(
             f"{path}: wanted a CSV file with the columns variant, step, goal, cup and cost, got "
             f"{type(trouble).__name__}: {trouble}; correct or remove it"

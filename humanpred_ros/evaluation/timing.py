@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, NullLocator, ScalarFormatter, StrMethodFormatter
 
-from humanpred_ros.viewing.figures import DASHES, MARKERS, SERIES, new_figure
+from humanpred_ros.viewing.figures import DASHES, MARKERS, SERIES, new_figure, plain_powers
 
 _STAT = Path("/proc/stat")
 #: Columns of the first line of /proc/stat: later ones (guests) are counted in the first two already; in these two no
@@ -108,6 +108,8 @@ def growth_plot(points: Iterable[tuple[str, int, str, float]], unit: str) -> Fig
             handles[name] = axes.plot(*zip(*line, strict=True), linestyle=dashes, markersize=4.5, **style)[0]
         axes.set_xscale("log")
         axes.set_yscale("log")
+        plain_powers(axes.xaxis)
+        plain_powers(axes.yaxis)
         axes.set_xticks(sorted({size for line in lines.values() for size, _ in line}))
         axes.xaxis.set_major_formatter(StrMethodFormatter("{x:.0f}"))
         axes.xaxis.set_minor_locator(NullLocator())

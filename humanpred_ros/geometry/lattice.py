@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,9 @@ from numpy.typing import NDArray
 
 from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.checks import FloatArray, checked
+
+#: A lattice of more voxels would take more memory and time than any prediction has; places are within this (m).
+MOST_VOXELS, _FARTHEST_M = 1 << 24, 1e4
 
 
 @dataclass(frozen=True)
@@ -25,13 +29,17 @@ class VoxelGrid:
         object.__setattr__(self, "shape", tuple(int(n) for n in self.shape))
         if not self.resolution_m > 0 or not np.isfinite(self.resolution_m):
             raise ArrayError(f"grid resolution: wanted a positive length in metres, got {self.resolution_m}")
-        if len(self.shape) != 3 or min(self.shape) < 1:
-            raise ArrayError(f"grid shape: wanted three positive voxel counts, got {self.shape}")
+        if len(self.shape) != 3 or min(self.shape) < 1 or math.prod(self.shape) > MOST_VOXELS:
+            raise ArrayError(
+                f"grid shape: wanted three positive voxel counts, at most {MOST_VOXELS} voxels in all, got {self.shape}"
+            )
+        if max(map(abs, self.origin_m)) + self.resolution_m * max(self.shape) > _FARTHEST_M:
+            raise ArrayError(f"grid: wanted a lattice within {_FARTHEST_M:g} m of the world's origin, got one beyond")
 
     @property
     def size(self) -> int:
         """Number of voxels."""
-        return int(np.prod(self.shape))
+        return math.prod(self.shape)
 
     def flat_index(self, points_m: FloatArray) -> NDArray[np.int64]:
         """Return the flat voxel index of each point (..., 3), world frame; -1 outside the grid."""

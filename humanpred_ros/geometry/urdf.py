@@ -27,6 +27,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from humanpred_ros.errors import HumanPredError, UsageError
+from humanpred_ros.files import read_text
 from humanpred_ros.geometry import description, solids
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.description import Body, Description, MeshBody, Mimic
@@ -43,9 +44,7 @@ def read_description(urdf: Path) -> Description:
     if not urdf.is_file():
         raise UsageError(f"robot: wanted a URDF file, got {urdf}, which does not exist")
     try:
-        return parse_description(urdf.read_text(encoding="utf-8"), urdf.resolve().parent)
-    except (OSError, UnicodeDecodeError) as trouble:
-        raise UsageError(f"robot: wanted a readable URDF file, got {urdf}: {trouble}") from trouble
+        return parse_description(read_text(urdf, UsageError), urdf.resolve().parent)
     except UsageError as trouble:
         raise UsageError(f"robot: wanted a readable URDF, got {urdf}: {trouble}") from trouble
 

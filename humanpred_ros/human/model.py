@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from humanpred_ros.errors import HumanModelError, UsageError
+from humanpred_ros.files import read_text
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.description import Body
 from humanpred_ros.geometry.joints import Joints
@@ -58,6 +59,12 @@ class HumanModel:
     """
 
     def __init__(self, urdf: str) -> None:
+        # The text may come from a recording: it names no files and defines no entities.
+        if "<mesh" in urdf or "<!" in urdf.replace("<!--", ""):
+            raise HumanModelError(
+                "human model: wanted boxes, cylinders or spheres as <collision>, and no document type, got others; "
+                "replace meshes by such solids"
+            )
         try:
             said = parse_description(urdf)
         except UsageError as trouble:
@@ -72,11 +79,6 @@ class HumanModel:
                 )
         if not said.joint_names:
             raise HumanModelError(f"human model {self.name}: wanted at least one moving joint, got none")
-        if said.meshes:
-            raise HumanModelError(
-                f"human model {self.name}: wanted boxes, cylinders or spheres as <collision>, got a mesh on link "
-                f"{said.meshes[0].link}; replace meshes by such solids"
-            )
         self.dof_names: tuple[str, ...] = said.joint_names
         self.bodies: tuple[Body, ...] = said.bodies
         self.lower, self.upper = _readonly(said.lower), _readonly(said.upper)
@@ -98,11 +100,7 @@ class HumanModel:
     @classmethod
     def from_urdf(cls, path: str | Path) -> HumanModel:
         """Return the model of a URDF file (HumanModelError if it cannot be read or used)."""
-        try:
-            text = Path(path).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as trouble:
-            raise HumanModelError(f"wanted the URDF file {path}, could not read it: {trouble}") from trouble
-        return cls(text)
+        return cls(read_text(Path(path), HumanModelError))
 
     def __repr__(self) -> str:
         return f"HumanModel({self.name!r}, {len(self.dof_names)} DoF, {self.signature[:8]})"

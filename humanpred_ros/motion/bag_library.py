@@ -20,6 +20,7 @@ from humanpred_ros.bags import messages as ros
 from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.bags.writer import BagWriter
 from humanpred_ros.errors import BagError
+from humanpred_ros.files import json_of
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.motion import SKELETON_POINTS, Motion, MotionLibrary
 from humanpred_ros.topics import human_joint_states
@@ -88,10 +89,10 @@ class _Draft:
     @classmethod
     def announced(cls, path: Path, text: str) -> _Draft:
         try:
-            facts = json.loads(text)
+            facts = json_of(text)
             label = None if facts["label"] is None else int(facts["label"])
             return cls(label, int(facts["index"]), int(facts["n_frames"]), int(facts.get("t0_ns", 0)))
-        except (ValueError, KeyError, TypeError, AttributeError) as trouble:
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as trouble:
             raise BagError(
                 f"{path}: wanted a motion's label, index and n_frames as JSON, got {text!r:.120}"
             ) from trouble

@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import csv
 import io
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from humanpred_ros.errors import LibraryFormatError
+from humanpred_ros.files import read_text
 from humanpred_ros.geometry.checks import FloatArray
 
 
@@ -31,21 +34,32 @@ class Table:
         return np.asarray(self.rows[:, self.columns.index(column)])
 
 
-def read_rows(path: Path, delimiter: str = ",") -> list[tuple[int, list[str]]]:
+def read_rows(path: Path, delimiter: str = ",", most: int | None = None) -> list[tuple[int, list[str]]]:
     """Return the line and the fields, without blanks around them, of each row that is not blank.
+
+    Args:
+        path: the file.
+        delimiter: between fields.
+        most: rows wanted; all if None.
 
     Raises:
         LibraryFormatError: a file that is no text in UTF-8, no CSV, or has no rows.
     """
     try:
-        reader = csv.reader(io.StringIO(path.read_text(encoding="utf-8-sig"), newline=""), delimiter=delimiter)
-        rows = [(reader.line_num, [field.strip() for field in row]) for row in reader]
-    except (OSError, UnicodeDecodeError, csv.Error) as trouble:
-        raise LibraryFormatError(f"{path}: wanted a text file in UTF-8, it cannot be read ({trouble})") from trouble
+        reader = csv.reader(io.StringIO(read_text(path, LibraryFormatError), newline=""), delimiter=delimiter)
+        rows = [(reader.line_num, [field.strip() for field in row]) for row in islice(reader, most)]
+    except csv.Error as trouble:
+        raise LibraryFormatError(f"{path}: wanted a table, it cannot be read ({trouble})") from trouble
     rows = [(line, row) for line, row in rows if any(row)]
     if not rows:
         raise LibraryFormatError(f"{path}: wanted a header and rows of numbers, got an empty file")
     return rows
+
+
+def read_records(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a file as texts by title, those beyond the header left out; raises as `read_rows`."""
+    (_, header), *rows = read_rows(path)
+    return [dict(zip(header, row, strict=False)) for _, row in rows]
 
 
 def read_table(
@@ -100,7 +114,7 @@ def _checked_header(
     path: Path, line: int, header: list[str], wanted: Sequence[str], optional: Sequence[str] | None
 ) -> list[str]:
     known = {*wanted, *(optional or ())}
-    twice = sorted({title for title in header if header.count(title) > 1 and title in known})
+    twice = sorted(title for title, count in Counter(header).items() if count > 1 and title in known)
     missing = [title for title in wanted if title not in header]
     unknown = [] if optional is None else [title for title in header if title not in known]
     for titles, what in ((twice, "twice"), (unknown, "unknown"), (missing, "missing")):

@@ -11,7 +11,6 @@ in the file name:
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -24,14 +23,14 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.kinect import KINECT12_DOFS
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import read_library_bag
-from humanpred_ros.motion.csv_files import Table, read_table
+from humanpred_ros.motion.csv_files import Table, read_rows, read_table
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.reach_recordings import ACTIVE, FRAME_ID, load_reach_recordings
 
 #: Assumed where a library has no stamps: 100 frames then last 1.65 s, as long as the recorded motion 77 of library_a.
 DEFAULT_FRAME_PERIOD_S = 1.0 / 60.0
 
-_CLASS_FILE = re.compile(r"(class|compound)_(\d+)\.csv", re.IGNORECASE)
+_CLASS_FILE = re.compile(r"(class|compound)_([0-9]{1,6})\.csv", re.IGNORECASE)
 _FRAME_COLUMNS = ("frame", "raw_frame")
 
 
@@ -74,9 +73,8 @@ def load_library(
 def _columns(path: Path) -> set[str]:
     """Return the titles in a file's first line; what is wrong with it is for the reader to say."""
     try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            return {title.strip() for title in next(csv.reader(stream), [])}
-    except (OSError, UnicodeDecodeError, csv.Error):
+        return set(read_rows(path, most=1)[0][1])
+    except LibraryFormatError:
         return set()
 
 

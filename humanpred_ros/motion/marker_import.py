@@ -29,9 +29,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import yaml
 
 from humanpred_ros.errors import HumanModelError, LibraryFormatError, MotionError, SettingsError
+from humanpred_ros.files import file_inside, read_yaml
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.marker_labels import find_start, label_markers
 from humanpred_ros.human.marker_set import ANATOMICAL, UPPER_BODY, Marker, MarkerSet
@@ -113,15 +113,11 @@ def read_names(path: Path) -> MarkerNames:
     Raises:
         SettingsError: a file that cannot be read, or with entries that cannot be used, with file and entry.
     """
+    content = read_yaml(path, SettingsError)
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
         if not isinstance(content, dict):
             raise SettingsError(f"wanted entries such as `markers:`, got {content!r:.60}")
         return MarkerNames(**{str(key): value for key, value in content.items()})
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as trouble:
-        raise SettingsError(
-            f"{path}: wanted a YAML file that names the markers, cannot read it: {trouble}"
-        ) from trouble
     except SettingsError as trouble:
         raise SettingsError(f"{path}: {trouble}") from trouble
 
@@ -154,7 +150,9 @@ class MarkerReader:
         self._all = all_markers
         self._shapes: dict[str, FloatArray] | None = None
         if person.calibration is not None:
-            trial = read_marker_file(folder / person.calibration, names.rate_hz)
+            trial = read_marker_file(
+                file_inside(folder, person.calibration, SettingsError, "calibration"), names.rate_hz
+            )
             worn, points = self._labelled(trial)
             try:
                 self._shapes = dict(MarkerSkeleton(markers=worn).calibrated(points).shapes or {})

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from humanpred_ros.errors import LibraryFormatError, MotionError, UsageError
+from humanpred_ros.files import name_trouble
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.human.kinect import LINK_OF_POINT
 
@@ -19,6 +20,8 @@ from humanpred_ros.human.kinect import LINK_OF_POINT
 PELVIS_DOFS = ("PelvisTransX", "PelvisTransY", "PelvisTransZ", "PelvisRotZ")
 #: A transform's rotation may be off by this much, as text with six digits is.
 _TOLERANCE = 1e-6
+#: No motion holds more: stamps are nanoseconds in 64 bits, and compiled loops count voxels in them.
+_LONGEST_S, _FARTHEST, _MOST = 1e9, 1e6, 2**31 - 1
 #: The 15 skeleton points an OpenNI tracker delivers, in the order of `Motion.points_m`.
 SKELETON_POINTS = tuple(LINK_OF_POINT)
 
@@ -55,6 +58,12 @@ class Motion:
         if len(t_s) < 2 or len(t_s) != len(q):
             raise MotionError(
                 f"{name}: wanted 2 frames or more, as many stamps as postures, got {len(t_s)} and {len(q)}"
+            )
+        largest = float(np.abs(t_s).max()) / _LONGEST_S, float(np.abs(q).max(initial=0.0)) / _FARTHEST
+        if max(largest) > 1.0 or not 0 <= self.index <= _MOST or not abs(self.label or 0) <= _MOST:
+            raise MotionError(
+                f"{name:.80}: wanted stamps up to {_LONGEST_S:g} s, postures up to {_FARTHEST:g} m or rad, and class "
+                f"and index up to {_MOST}, got more; correct it"
             )
         t_s = np.round(t_s * 1e9) * 1e-9  # stamps live as integer nanoseconds in bags; keep both sides equal
         step = np.diff(t_s)
@@ -202,10 +211,9 @@ def require_plain_name(where: str, name: str) -> str:
     Raises:
         LibraryFormatError: names such as `..`, `a/b` or an absolute path, which would leave the folder meant for it.
     """
-    if not name or name.startswith(".") or name != name.strip() or any(c in "/\\" or not c.isprintable() for c in name):
+    if trouble := name_trouble(name):
         raise LibraryFormatError(
-            f"{where}: wanted a library name that can be a folder's (no slashes, no point in front), got {name!r}; "
-            "rename it"
+            f"{where}: wanted a library name that can be a folder's, got {name!r:.120}: {trouble}; rename it"
         )
     return name
 

@@ -7,6 +7,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState, PointCloud2
 
 from humanpred_ros import topics
+from humanpred_ros.bags.messages import JOINT_STATE, POINT_CLOUD2
 from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.errors import BagError
 from humanpred_ros.nodes import conversions, qos
@@ -33,11 +34,15 @@ class OccupancyReplay(SteppedSource):
         super().__init__("occupancy_replay")
         settings = declare(self, OccupancyReplaySettings)
         bag = BagReader(settings.bag)
+        for topic, msgtype in ((topics.OCCUPANCY, POINT_CLOUD2), (topics.JOINT_STATES, JOINT_STATE)):
+            bag.require_topic(topic, msgtype)
         decided = {conversions.stamp_ns(decision.header.stamp) for _, decision in bag.decoded(topics.DECISION)}
-        recorded = (deserialize_message(record.data, PointCloud2) for record in bag.messages([topics.OCCUPANCY]))
+        # Decoded twice: what does not decode is refused before ROS, which believes the lengths it finds, sees it.
+        clouds_in_order = (record for record in bag.messages([topics.OCCUPANCY]) if bag.decode(record))
+        recorded = (deserialize_message(record.data, PointCloud2) for record in clouds_in_order)
         clouds = {conversions.stamp_ns(cloud.header.stamp): cloud for cloud in recorded}
         states = bag.messages([topics.JOINT_STATES])
-        arm = next((deserialize_message(record.data, JointState) for record in states), None)
+        arm = next((deserialize_message(record.data, JointState) for record in states if bag.decode(record)), None)
         self.clouds = [clouds[stamp] for stamp in sorted(decided & clouds.keys())]
         if not self.clouds or arm is None:
             raise BagError(f"{settings.bag}: wanted decisions, occupancies and joint states, got no complete set")

@@ -18,6 +18,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from humanpred_ros.errors import HumanPredError, ModelFileError, MotionError, UsageError
+from humanpred_ros.files import read_json
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.reaching.features import FEATURE_NAMES, N_FEATURES, NAMED_WEIGHTS, SCALES
 
@@ -137,11 +138,9 @@ def load_weights(path: str | Path) -> ReachWeights:
     """
     path = Path(path)
     try:
-        value = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, ValueError, RecursionError) as trouble:
-        raise ModelFileError(
-            f"weights {path}: could not be read ({trouble}); check the path, or learn them again"
-        ) from trouble
+        value = read_json(path, ModelFileError)
+    except ModelFileError as trouble:
+        raise ModelFileError(f"weights {trouble}; check the path, or learn them again") from trouble
     try:
         file = _WeightsFile.model_validate(value)
         weights, scales = (

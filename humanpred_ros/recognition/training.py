@@ -10,12 +10,9 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import io
 import json
 import os
 import sys
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,6 +25,7 @@ from numpy.typing import NDArray
 
 from humanpred_ros import __version__, plugins
 from humanpred_ros.errors import HumanModelError, HumanPredError, ModelFileError, UsageError
+from humanpred_ros.files import json_of, read_arrays
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
@@ -42,16 +40,8 @@ BUILT_IN = ("forest", "gmm")
 FORMAT = "humanpred_ros trained model"
 #: Raised whenever a reader of the old version would misread the new.
 FORMAT_VERSION = 3
-#: No number of a model is larger: metres, radians, seconds, counts and log densities are far below.
-_LARGEST = 1e12
 #: Models kept in the user's cache folder; the one not used for longest goes first.
 _KEPT_MODELS = 20
-
-#: Whatever zipfile and NumPy raise on bytes that are not an archive they wrote.
-_UNREADABLE = (
-    OSError, EOFError, KeyError, TypeError, ValueError, RuntimeError, NotImplementedError, OverflowError,
-    zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +178,10 @@ def load_model(path: str | Path, human: HumanModel) -> TrainedModel:
         ModelFileError: missing, unreadable, damaged, of another format version, or made for another human.
     """
     path = Path(path)
-    arrays = _read(path)
+    try:
+        arrays = read_arrays(path, ModelFileError)
+    except ModelFileError as trouble:
+        raise ModelFileError(f"model file {trouble}; make one with `humanpred train`") from trouble
     metadata = _metadata(path, arrays)
     if metadata.get("human_signature") != human.signature:
         raise ModelFileError(
@@ -294,48 +287,9 @@ def _arrays(model: TrainedModel) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def _read(path: Path) -> dict[str, NDArray[Any]]:
-    """Return all members. No more is allocated than the file is large: headers are not believed."""
-    try:
-        data = path.read_bytes()
-    except OSError as trouble:
-        raise ModelFileError(
-            f"model file {path}: could not be read ({trouble}); make one with `humanpred train`"
-        ) from trouble
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            stored = [info for info in archive.infolist() if info.compress_type == zipfile.ZIP_STORED]
-            if len(stored) != len(archive.infolist()) or sum(info.file_size for info in stored) > len(data):
-                raise ValueError("wanted members stored uncompressed, no larger than the file")
-            return {info.filename.removesuffix(".npy"): _array(info.filename, archive.read(info)) for info in stored}
-    except _UNREADABLE as trouble:
-        raise ModelFileError(
-            f"model file {path}: not a model file, or damaged ({trouble}); make one with `humanpred train`"
-        ) from trouble
-
-
-def _array(name: str, data: bytes) -> NDArray[Any]:
-    """Return the array in the bytes of a .npy file. Raises ValueError, with the name, for one that cannot be."""
-    stream = io.BytesIO(data)
-    version = np.lib.format.read_magic(stream)
-    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, fortran_order, dtype = read_header(stream)
-    if dtype.kind not in "biufU":
-        raise ValueError(f"{name}: wanted numbers, truth values or texts, got {dtype}")
-    n_bytes = dtype.itemsize
-    for length in shape:
-        n_bytes *= int(length)
-    if n_bytes != len(data) - stream.tell() or min(shape, default=0) < 0:
-        raise ValueError(f"{name}: it declares {shape} of {dtype}, which is not what it holds")
-    array = np.frombuffer(data, dtype, offset=stream.tell()).reshape(shape, order="F" if fortran_order else "C")
-    if dtype.kind in "iuf" and array.size and not np.abs(array.astype(np.float64)).max() <= _LARGEST:
-        raise ValueError(f"{name}: wanted finite numbers up to {_LARGEST:g}, got {array[np.argmax(np.abs(array))]}")
-    return array
-
-
 def _metadata(path: Path, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
     try:
-        metadata = json.loads(arrays.pop("metadata").tobytes().decode())
+        metadata = json_of(arrays.pop("metadata").tobytes().decode())
         if not isinstance(metadata, dict):
             raise ValueError("metadata is no JSON object")
     except (KeyError, ValueError, RecursionError) as trouble:

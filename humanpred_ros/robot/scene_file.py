@@ -5,11 +5,11 @@ An angle is given in radians under `<name>_rad` or in degrees under `<name>_deg`
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-import yaml
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -23,9 +23,13 @@ from pydantic import (
 )
 
 from humanpred_ros.errors import SceneError
+from humanpred_ros.files import file_inside, read_yaml
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.resources import share_file
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
+
+#: The file in which a run keeps the scene that it was made with.
+RECORDED_SCENE = "scene.yaml"
 
 Triple = tuple[float, float, float]
 ArmAngles = Annotated[
@@ -175,17 +179,40 @@ class SceneFile(Section):
     robot: RobotSection
     start_rad: ArmAngles | None = Field(None, description="Configuration of the arm at the beginning (rad)")
     start_deg: ArmAngles | None = Field(None, description="The same in degrees")
-    goals: tuple[GoalSection, ...]
+    goals: tuple[GoalSection, ...] = Field(max_length=100)
     table: TableSection
-    objects: tuple[ObjectSection, ...]
+    objects: tuple[ObjectSection, ...] = Field(max_length=1000)
     human: HumanSection
     grid: GridSection
-    places: tuple[PlaceSection, ...] = Field((), description="Places the person may reach for; none: the library's")
+    places: tuple[PlaceSection, ...] = Field(
+        (), max_length=1000, description="Places the person may reach for; none: the library's"
+    )
 
 
 def scene_names() -> tuple[str, ...]:
     """Return the names of the scenes that come with the package."""
     return tuple(sorted(path.stem for path in share_file("config", "scenes").glob("*.yaml")))
+
+
+def recorded_scene(folder: Path, name: str) -> str:
+    """Return the name or path by which the scene of a recorded run is loaded: one of the package, or the run's own.
+
+    Args:
+        folder: of the run; `scene.yaml` in it is its scene, where that is none of the package's.
+        name: that the run tells; it may be a path on somebody's machine, which is not followed.
+
+    Raises:
+        SceneError: neither.
+    """
+    if name in scene_names():
+        return name
+    kept = folder / RECORDED_SCENE
+    if not os.path.lexists(kept):
+        raise SceneError(
+            f"scene {name}: wanted one of {', '.join(scene_names())}, or {RECORDED_SCENE} in the run's folder; if you "
+            f"trust the scene, copy it to {kept}"
+        )
+    return str(file_inside(folder, RECORDED_SCENE, SceneError, "scene"))
 
 
 def read_scene_file(name_or_path: str | Path) -> SceneFile:
@@ -205,13 +232,7 @@ def read_scene_file(name_or_path: str | Path) -> SceneFile:
             )
         path = share_file("config", "scenes", f"{name_or_path}.yaml")
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as trouble:
-        raise SceneError(f"scene: wanted a readable file, got {path}: {trouble.strerror}") from trouble
-    except (yaml.YAMLError, UnicodeDecodeError) as trouble:
-        raise SceneError(f"scene: wanted YAML in {path}, got something else: {trouble}") from trouble
-    try:
-        return SceneFile.model_validate(content)
+        return SceneFile.model_validate(read_yaml(path, SceneError))
     except ValidationError as trouble:
         raise SceneError(f"scene {path.stem}{_reason(trouble)}") from None
 

@@ -10,11 +10,15 @@ from typing import Any
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatterSciNotation
 
 #: Inches; at the report's width one inch is about 2.6 cm on paper.
 WIDTH_IN = 10.0
+
+_RAISED = str.maketrans("-−0123456789", "⁻⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 INK = "#1f2933"
 MUTED = "#7b8794"
@@ -66,6 +70,7 @@ _STYLE: Mapping[str, Any] = {
     "xtick.major.width": 0.8,
     "ytick.major.width": 0.8,
     "text.color": INK,
+    "text.parse_math": False,  # names are drawn as they are
     "lines.linewidth": 1.7,
     "lines.solid_capstyle": "round",
     "legend.frameon": False,
@@ -102,6 +107,18 @@ def label_above(axes: Axes, x: float, text: str, colour: str, *, align: str = "l
     axes.annotate(
         text, (x, y), xycoords=("data", "axes fraction"), ha=align, va="bottom", fontsize=8, color=colour
     )  # fmt: skip
+
+
+def plain_powers(axis: Axis) -> None:
+    """Write the numbers at a logarithmic axis without the markup that is off here: 10³, 2×10⁻¹."""
+    axis.set_major_formatter(_Powers())
+    axis.set_minor_formatter(_Powers(labelOnlyBase=False))
+
+
+class _Powers(LogFormatterSciNotation):
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        text = str(super().__call__(x, pos)).replace("\\times", "×").replace("$\\mathdefault{", "").removesuffix("}$")
+        return re.sub(r"\^\{(.*?)\}", lambda power: power[1].translate(_RAISED), text)
 
 
 def legend_beside(axes: Axes, **what: Any) -> None:

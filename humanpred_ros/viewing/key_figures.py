@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
+from humanpred_ros.errors import printable
 from humanpred_ros.viewing.analysis import Belief, RunSummary, StepRow
 from humanpred_ros.viewing.recorded import LatencyFigures
 from humanpred_ros.viewing.reliability import MOVING
@@ -44,20 +45,22 @@ def print_summary(summary: RunSummary, console: Console) -> None:
     if summary.steps:
         console.print(_steps_table(summary))
     if any(row.out for row in summary.steps):
-        console.print("[dim]× set aside or invalid in this step: the report says why[/dim]\n")
+        console.print("× set aside or invalid in this step: the report says why\n", style="dim")
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     table.add_column(style="dim")
     table.add_column()
     for figure in key_figures(summary):
-        text = f"{escape(figure.value)}  [dim]{escape(figure.remark)}[/dim]"
-        table.add_row(escape(figure.name), f"[red]{text}[/red]" if figure.alarming else text)
+        text = Text.assemble(
+            printable(figure.value), "  ", (printable(figure.remark), "dim"), style="red" if figure.alarming else ""
+        )
+        table.add_row(Text(figure.name), text)
     for what, part in summary.interruptions:
-        table.add_row(f"arm {what}", f"{part.t_s:.2f} to {part.until_s:.2f} s: {escape(part.reason)}")
+        table.add_row(f"arm {what}", Text(f"{part.t_s:.2f} to {part.until_s:.2f} s: {printable(part.reason)}"))
     table.add_row("duration", f"{summary.duration_s:.2f} s of data, {summary.wall_s:.1f} s of wall time")
     console.print(table)
     for note in summary.notes:
-        console.print(f"[yellow]note[/yellow]  {escape(note)}")
-    console.print(f"[bold]{escape(summary.outcome)}[/bold]", highlight=False)
+        console.print(Text.assemble(("note", "yellow"), "  ", printable(note)))
+    console.print(Text(printable(summary.outcome), "bold"))
 
 
 def _steps_table(summary: RunSummary) -> Table:
@@ -68,7 +71,7 @@ def _steps_table(summary: RunSummary) -> Table:
     for name in ("step", "t in\ns", "reach", "class\np"):
         table.add_column(name, justify="right")
     for goal in summary.goals:
-        table.add_column(escape(goal), justify="right", min_width=7)
+        table.add_column(Text(printable(goal)), justify="right", min_width=7)
     table.add_column("chosen", no_wrap=True)
     table.add_column("ms", justify="right", min_width=4)
     for row in summary.steps:
@@ -81,13 +84,15 @@ def _steps_table(summary: RunSummary) -> Table:
             _chosen(row),
             _text(row.compute_ms, ".0f"),
         ]
-        table.add_row(*cells, style="red" if row.missed else "bold" if row.switched else None)
+        table.add_row(
+            *map(Text, map(printable, cells)), style="red" if row.missed else "bold" if row.switched else None
+        )
     return table
 
 
 def _chosen(row: StepRow) -> str:
     """Return the goal with what is special about the step, short enough for a terminal of 80 columns."""
-    return row.lost_to or ("→ " if row.switched else "") + escape(row.chosen)
+    return row.lost_to or ("→ " if row.switched else "") + row.chosen
 
 
 def _text(value: float | None, form: str, unit: str = "") -> str:

@@ -173,8 +173,10 @@ def _log_scale(axes: Axes, values: FloatArray) -> None:
         return
     if len(positive) == len(finite):
         axes.set_yscale("log")
+        look.plain_powers(axes.yaxis)
     else:
         axes.set_yscale("symlog", linthresh=float(positive.min()) / _LINEAR_BELOW, linscale=0.4)
+        look.plain_powers(axes.yaxis)
         axes.axhline(0.0, color=look.MUTED, linewidth=0.8)
 
 

@@ -6,7 +6,6 @@ series may be empty: a run that was interrupted at once still has all of them.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from humanpred_ros.bags.messages import ns_from_stamp, point_cloud2_fields
 from humanpred_ros.errors import ArrayError, BagError
+from humanpred_ros.files import json_of
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.topics import DECISION, VOXEL_GRID
@@ -235,9 +235,9 @@ def cloud_of(message: Any, *others: str) -> tuple[FloatArray, ...]:
 def grid_of(text: str) -> VoxelGrid:
     """Return the voxel lattice described by JSON. Raises BagError if the text is something else."""
     try:
-        content = json.loads(text)
+        content = json_of(text)
         return VoxelGrid(tuple(content["origin_m"]), float(content["resolution_m"]), tuple(content["shape"]))
-    except (ValueError, KeyError, TypeError, ArrayError) as trouble:
+    except (ValueError, KeyError, TypeError, OverflowError, ArrayError) as trouble:
         raise BagError(
             f"topic {VOXEL_GRID}: wanted JSON with origin_m, resolution_m and shape, got {text!r:.80} ({trouble})"
         ) from trouble

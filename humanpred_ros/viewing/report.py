@@ -57,7 +57,7 @@ def report_run(folder: str | Path, path: str | Path | None = None) -> RunSummary
     analysis = analyse(read_run(folder))
     path = Path(folder) / "report.html" if path is None else Path(path)
     write_report(analysis, path)
-    path.with_name("summary.json").write_text(analysis.summary.to_json(), encoding="utf-8")
+    _write_whole(path.with_name("summary.json"), analysis.summary.to_json())
     return analysis.summary
 
 
@@ -67,14 +67,22 @@ def write_report(analysis: Analysis, path: Path) -> None:
     Raises:
         UsageError: the file cannot be written there.
     """
-    text = render_report(analysis)
+    _write_whole(path, render_report(analysis))
+
+
+def _write_whole(path: Path, text: str) -> None:
     temporary = path.with_name(f".{path.name}.partial-{os.getpid()}")
     try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
+        stream = temporary.open("x", encoding="utf-8")  # never through a link that lies there
+        try:
+            with stream:
+                stream.write(text)
+            temporary.replace(path)
+        except OSError:
+            temporary.unlink(missing_ok=True)
+            raise
     except OSError as trouble:
-        temporary.unlink(missing_ok=True)
-        raise UsageError(f"report {path}: cannot be written ({trouble.strerror}); choose another place") from trouble
+        raise UsageError(f"{path}: cannot be written ({trouble.strerror}); choose another place") from trouble
 
 
 def render_report(analysis: Analysis) -> str:

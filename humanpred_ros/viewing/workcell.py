@@ -16,6 +16,7 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.robot.clearance import SeparationMeter
 from humanpred_ros.robot.pr2 import Pr2Arm
 from humanpred_ros.robot.scene import Scene, load_scene
+from humanpred_ros.robot.scene_file import recorded_scene
 from humanpred_ros.viewing.recorded import JointTrack
 from humanpred_ros.viewing.run import Run
 
@@ -79,7 +80,7 @@ def load_workcell(run: Run) -> Workcell:
         notes.append("the bag does not say which scene was used: distances and goals cannot be evaluated")
     else:
         try:
-            scene = load_scene(name)
+            scene = load_scene(recorded_scene(run.folder, name))
         except HumanPredError as trouble:
             notes.append(f"scene {name} cannot be loaded, so distances and goals are not evaluated: {trouble}")
     human: HumanModel | None = None

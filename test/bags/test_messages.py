@@ -41,9 +41,7 @@ def test_string_bytes_are_little_endian_cdr() -> None:
 )
 def test_joint_state_survives_the_wire(stamp: int, values: list[float], frame: str) -> None:
     names = [f"joint_{k}" for k in range(len(values))]
-    got = ros.decode_with(
-        ros.typestore(), ros.serialise(ros.joint_state(stamp, names, values, frame_id=frame)), ros.JOINT_STATE
-    )
+    got = ros.decode(ros.serialise(ros.joint_state(stamp, names, values, frame_id=frame)), ros.JOINT_STATE)
     assert ros.ns_from_stamp(got.header.stamp) == stamp
     assert got.header.frame_id == frame
     assert list(got.name) == names
@@ -59,7 +57,7 @@ def test_point_cloud_columns_survive_the_wire_bit_for_bit(points: np.ndarray, p:
     n = len(points)
     fields = {"x": points[:, 0], "y": points[:, 1], "z": points[:, 2], "probability": p[:n], "class_id": ids[:n]}
     data = ros.serialise(ros.point_cloud2(7, "world", fields))
-    message = ros.decode_with(ros.typestore(), data, ros.POINT_CLOUD2)
+    message = ros.decode(data, ros.POINT_CLOUD2)
     assert message.width * message.point_step == len(message.data) == message.row_step
     got = ros.point_cloud2_fields(message)
     assert list(got) == list(fields)
@@ -81,7 +79,7 @@ def test_unknown_type_is_named() -> None:
 @given(st.binary(max_size=200))
 def test_wrong_bytes_are_a_bag_error(data: bytes) -> None:
     try:
-        message = ros.decode_with(ros.typestore(), data, ros.POINT_CLOUD2)
+        message = ros.decode(data, ros.POINT_CLOUD2)
         ros.point_cloud2_fields(message)
     except BagError:
         pass
@@ -99,9 +97,9 @@ def test_shapes_are_checked() -> None:
 def test_bytes_after_the_message_are_ignored() -> None:
     # rclpy.serialization.serialize_message returns some: the size it allots is an estimate.
     data = ros.serialise(ros.joint_state(1, ("a",), (0.5,)))
-    assert ros.decode_with(ros.typestore(), data + b"\x7f" * 8, ros.JOINT_STATE).position.tolist() == [0.5]
+    assert ros.decode(data + b"\x7f" * 8, ros.JOINT_STATE).position.tolist() == [0.5]
     with pytest.raises(BagError, match="do not decode"):
-        ros.decode_with(ros.typestore(), data[:-8], ros.JOINT_STATE)
+        ros.decode(data[:-8], ros.JOINT_STATE)
 
 
 def test_rclpy_reads_our_bytes_and_we_read_its() -> None:
@@ -125,5 +123,5 @@ def test_rclpy_reads_our_bytes_and_we_read_its() -> None:
     understood, theirs = run.stdout.split()
     assert understood == "True"
     # Not compared byte by byte: the middleware leaves its padding as it finds it.
-    got = ros.decode_with(ros.typestore(), bytes.fromhex(theirs), ros.JOINT_STATE)
+    got = ros.decode(bytes.fromhex(theirs), ros.JOINT_STATE)
     assert (got.header, got.name, list(got.position)) == (ours.header, ours.name, list(ours.position))

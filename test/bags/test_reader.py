@@ -192,11 +192,13 @@ def test_older_metadata_and_split_files(tmp_path: Path, write_bag: Callable[...,
     assert bag.message_count == 240
 
 
-def test_a_type_of_ones_own_is_decoded_by_the_definition_in_the_bag(tmp_path: Path) -> None:
+def test_definitions_in_a_bag_are_never_made_into_programs(tmp_path: Path) -> None:
     definition = TypeDefinition("float64 reach_m\nstring who", "ros2msg", "")
     data = b"\x00\x01\x00\x00" + np.float64(0.5).tobytes() + b"\x03\x00\x00\x00me\x00"
     with BagWriter(tmp_path / "bag") as bag:
         bag.add_topic("/reach", "my_msgs/msg/Reach", definition=definition)
         bag.write("/reach", 1, data)
-    ((_, message),) = BagReader(tmp_path / "bag").decoded("/reach")
-    assert (message.reach_m, message.who) == (0.5, "me")
+    read = BagReader(tmp_path / "bag")
+    assert [message.data for message in read.messages()] == [data]
+    with pytest.raises(BagError, match="common interfaces, got one of type 'my_msgs/msg/Reach'"):
+        list(read.decoded("/reach"))

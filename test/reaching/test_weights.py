@@ -29,7 +29,7 @@ finite = st.floats(0.0, allow_nan=False, allow_infinity=False)
     hnp.arrays(np.float64, N_FEATURES, elements=finite),
     st.integers(0, 5).flatmap(lambda n: hnp.arrays(np.float64, (n, N_FEATURES), elements=st.floats(0.0, 1e6))),
     st.sets(st.sampled_from(FEATURE_NAMES)),
-    st.dictionaries(st.text(), st.none() | st.integers() | st.text() | st.lists(finite)),
+    st.dictionaries(st.text(), st.none() | st.integers(-(2**63), 2**63) | st.text() | st.lists(finite)),
 )
 def test_files_read_back_as_the_same_weights(
     tmp_path: Path, weights: np.ndarray, bootstrap: np.ndarray, at_upper: set[str], provenance: dict[str, object]
@@ -101,7 +101,7 @@ def of(key: str, change: object) -> object:
         ("weights posture length.*got None", of("weights", dict.fromkeys(FEATURE_NAMES))),
         ("weights.*got True", of("weights", dict.fromkeys(FEATURE_NAMES, True))),
         ("weights.*got '1.0'", of("weights", dict.fromkeys(FEATURE_NAMES, "1.0"))),
-        ("weights.*finite.*got nan", of("weights", dict.fromkeys(FEATURE_NAMES, float("nan")))),
+        ("weights.*finite.*got NaN", of("weights", dict.fromkeys(FEATURE_NAMES, float("nan")))),
         ("0 or more, got -1", of("weights", dict.fromkeys(FEATURE_NAMES, -1.0))),
         ("bootstrap", of("bootstrap", np.zeros((N_FEATURES, 2)).tolist())),
         ("bootstrap.*got 'many'", of("bootstrap", "many")),

@@ -137,7 +137,7 @@ def test_files_of_another_kind_are_refused(tmp_path: Path, saved: Path) -> None:
         load_model(path, HUMAN)
     for data in (b"", b"not a model", saved.read_bytes()[::-1]):
         path.write_bytes(data)
-        with pytest.raises(ModelFileError, match="not a model file, or damaged"):
+        with pytest.raises(ModelFileError, match="not an archive of arrays, or damaged"):
             load_model(path, HUMAN)
     with path.open("wb") as file:
         np.save(file, np.zeros(3))

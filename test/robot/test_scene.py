@@ -387,7 +387,7 @@ def test_radians_and_degrees_say_the_same(tmp_path: Path) -> None:
 def test_files_that_are_not_scenes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match=r"face_to_face, four_places, side_by_side.*'back_to_back'"):
         load_scene("back_to_back")
-    with pytest.raises(SceneError, match="readable file"):
+    with pytest.raises(SceneError, match="could not be read"):
         load_scene(tmp_path / "missing.yaml")
     for text, words in (("", "mapping"), ("a: [", "YAML"), ("- 1", "mapping")):
         path = tmp_path / "odd.yaml"
