@@ -85,7 +85,11 @@ class NodeClient:
         while not condition():
             assert self.process.running, f"{self._tested} has ended:\n{self.process.tail()}"
             assert time.monotonic() < until_s, f"waited {timeout_s} s for {what}:\n{self.process.tail()}"
-            self._executor.spin_once(timeout_sec=_SPIN_S)
+            self.spin()
+
+    def spin(self) -> None:
+        """Take what has come."""
+        self._executor.spin_once(timeout_sec=_SPIN_S)
 
     def send_until(
         self, send: Callable[[], None], condition: Callable[[], bool], what: str, timeout_s: float = 30.0

@@ -9,9 +9,11 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from humanpred_ros import topics
+from humanpred_ros.errors import UsageError
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.parameters import declare
+from humanpred_ros.nodes.trajectory_action import TrajectoryActionServer
 from humanpred_ros.nodes.trajectory_controller import ControllerSettings, TrajectoryController
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
 from humanpred_ros.robot.scene_file import read_scene_file
@@ -33,7 +35,10 @@ class SimulatedArmSettings(ControllerSettings):
 
 
 class SimulatedArm(GraphNode):
-    """Starts at the scene's start configuration and does what a stock controller does with what it is sent."""
+    """Starts at the scene's start configuration and does what a stock controller does with what it is sent.
+
+    It is commanded by topic, and by the action FollowJointTrajectory where control_msgs is installed.
+    """
 
     def __init__(self) -> None:
         super().__init__("simulated_arm")
@@ -45,11 +50,15 @@ class SimulatedArm(GraphNode):
             settings.part(ControllerSettings),
         )
         self.controller.speed_factor, self.controller.stuck = settings.speed_factor, settings.stuck
-        self.commanded = False
         self.ended = ""
         # Made first, so that a trajectory and a clock tick that wait together are taken in this order.
         commands = self.listen(JointTrajectory, topics.TRAJECTORY, self.on_trajectory, qos.COMMAND)
         self.hardware_id = commands.topic_name.rpartition("/")[0]
+        self.action: TrajectoryActionServer | None = None
+        try:
+            self.action = TrajectoryActionServer(self, self.controller)
+        except UsageError as missing:
+            self.get_logger().debug(str(missing))
         self.publisher = self.create_publisher(JointState, topics.JOINT_STATES, qos.SENSOR_PUBLISHER)
         self.period_ns = round(conversions.NS_PER_S / settings.rate_hz)
         self.last_ns = -self.period_ns
@@ -77,12 +86,12 @@ class SimulatedArm(GraphNode):
         refusal = self.controller.command(message, self.get_clock().now().nanoseconds)
         if refusal:
             self.refuse(refusal)
-        else:
-            self.commanded = True
+        elif self.action is not None:
+            self.action.replaced("a trajectory came on the topic")
 
     def publish_start(self) -> None:
         """Publish the start configuration until the first trajectory comes, whatever the clock does."""
-        if self.commanded:
+        if self.controller.commanded:
             self.startup_timer.cancel()
             return
         self.publish_now()
@@ -104,6 +113,8 @@ class SimulatedArm(GraphNode):
         if self.controller.ended != self.ended:
             self.ended = self.controller.ended
             self.warn({"trajectory": f"given up: {self.ended}"} if self.ended else {})
+        if self.action is not None:
+            self.action.tell(now_ns)
         q, v = self.controller.q, self.controller.v
         self.publisher.publish(conversions.joint_state(RIGHT_ARM_JOINTS, q, now_ns, v=v))
 

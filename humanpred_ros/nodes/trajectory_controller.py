@@ -45,6 +45,15 @@ class ControllerSettings(Settings):
 
 
 @dataclass(frozen=True, eq=False)
+class Tolerances:
+    """How far the arm may be from its trajectory; 0 is no bound."""
+
+    path_rad: FloatArray  #: (D,) on the way
+    goal_rad: FloatArray  #: (D,) at the end
+    goal_time_s: float  #: so long after the end it must be there
+
+
+@dataclass(frozen=True, eq=False)
 class _Knot:
     """A state at a time; velocities and accelerations are None where the message has none."""
 
@@ -62,8 +71,12 @@ class TrajectoryController:
         q, v: (D,) where the arm is, and how fast it moves.
         speed_factor: of the trajectory's time; 0 is a pause.
         stuck: the arm does not move, whatever is commanded: its brakes are on, or somebody holds it.
-        ended: why the last trajectory was given up; empty if none was.
-        settings: tolerances.
+        wanted_q, wanted_v: (D,) where the trajectory is.
+        commanded: whether a trajectory has been taken yet.
+        outcome: of the last trajectory, as FollowJointTrajectory's error code: None while it is under way, 0 once its
+            end is reached, -4 if it was given up on the way, -5 if at its end.
+        ended: why it was given up; empty if it was not.
+        default_tolerances: of trajectories that come without their own.
     """
 
     def __init__(
@@ -77,20 +90,28 @@ class TrajectoryController:
         self.joint_names = tuple(joint_names)
         self.q = np.array(q, dtype=np.float64)
         self.v = np.zeros_like(self.q)
-        self.settings = settings or ControllerSettings()
-        self.speed_factor, self.stuck, self.ended = 1.0, False, ""
+        settings = settings or ControllerSettings()
+        self.default_tolerances = self._tolerances = Tolerances(
+            np.full_like(self.q, settings.path_tolerance_rad),
+            np.full_like(self.q, settings.goal_tolerance_rad),
+            settings.goal_time_s,
+        )
+        self.speed_factor, self.stuck, self.commanded = 1.0, False, False
+        self.outcome: int | None = 0
+        self.ended = ""
         self._velocity_limit = np.broadcast_to(np.asarray(velocity_limit, dtype=np.float64), self.q.shape)
-        self._hold()
+        self.hold()
         self._now_ns: int | None = None
         self._lag_ns = 0.0
 
-    def command(self, message: Any, now_ns: int) -> str:
+    def command(self, message: Any, now_ns: int, tolerances: Tolerances | None = None) -> str:
         """Take a trajectory in place of the one under way; return why it is refused, empty if it is not."""
         refusal = controller_refusal(message, self.joint_names, now_ns)
         if refusal:
             return refusal
         self.update(now_ns)
-        self._lag_ns, self.ended = 0.0, ""
+        self._lag_ns, self.outcome, self.ended, self.commanded = 0.0, None, "", True
+        self._tolerances = tolerances or self.default_tolerances
         column = [list(message.joint_names).index(name) for name in self.joint_names]
         start_ns = stamp_ns(message.header.stamp) or now_ns
         knots = [
@@ -115,7 +136,7 @@ class TrajectoryController:
             self._lag_ns = 0.0 if before_ns is None else self._lag_ns
             return
         self._lag_ns += (1.0 - self.speed_factor) * (now_ns - before_ns)
-        wanted_q, wanted_v = self._sample(now_ns - self._lag_ns)
+        self.wanted_q, self.wanted_v = wanted_q, wanted_v = self._sample(now_ns - self._lag_ns)
         step_s = (now_ns - before_ns) * 1e-9
         if self.stuck:
             self.v = np.zeros_like(self.q)
@@ -127,29 +148,31 @@ class TrajectoryController:
             self.q = moved
         self._check_tolerances(wanted_q, now_ns - self._lag_ns)
 
-    def _check_tolerances(self, wanted_q: FloatArray, t_ns: float) -> None:
-        """Give up a trajectory that the arm does not follow, and hold the arm where it is."""
-        error = np.abs(wanted_q - self.q)
-        worst = int(np.argmax(error))
-        over_s = (t_ns - self._knots[-1].t_ns) * 1e-9
-        text = f"{self.joint_names[worst]} is {error[worst]:.4f} rad from where it should be, allowed are"
-        if over_s < 0.0:
-            allowed = self.settings.path_tolerance_rad
-            if allowed and error[worst] > allowed:
-                self._give_up(f"path tolerance: {text} {allowed:g}")
-        else:
-            allowed = self.settings.goal_tolerance_rad
-            if allowed and error[worst] > allowed and self.settings.goal_time_s and over_s > self.settings.goal_time_s:
-                self._give_up(f"goal tolerance: {text} {allowed:g}")
-
-    def _give_up(self, why: str) -> None:
-        self.ended = why
-        self._hold()
-
-    def _hold(self) -> None:
+    def hold(self) -> None:
         """Command rest where the arm is."""
         rest = np.zeros_like(self.q)
+        self.wanted_q, self.wanted_v = self.q.copy(), rest
         self._knots = [_Knot(0, self.q.copy(), rest, rest)]
+
+    def _check_tolerances(self, wanted_q: FloatArray, t_ns: float) -> None:
+        """Give up a trajectory that the arm does not follow, and hold the arm where it is."""
+        if self.outcome is not None:
+            return
+        over_s = (t_ns - self._knots[-1].t_ns) * 1e-9
+        under_way = over_s < 0.0
+        allowed = self._tolerances.path_rad if under_way else self._tolerances.goal_rad
+        error = np.abs(wanted_q - self.q)
+        excess = np.where(allowed > 0.0, error - allowed, -np.inf)
+        worst = int(np.argmax(excess))
+        if excess[worst] <= 0.0:
+            self.outcome = None if under_way else 0
+        elif under_way or 0.0 < self._tolerances.goal_time_s < over_s:
+            self.outcome = -4 if under_way else -5
+            self.ended = (
+                f"{'path' if under_way else 'goal'} tolerance: {self.joint_names[worst]} is {error[worst]:.4f} rad "
+                f"from where it should be, allowed are {allowed[worst]:g}"
+            )
+            self.hold()
 
     def _sample(self, t_ns: float) -> tuple[FloatArray, FloatArray]:
         """Return the commanded position and velocity (D,) at a time of the trajectory."""

@@ -78,7 +78,7 @@ def test_an_arm_that_does_not_follow_is_stopped_and_goes_on_from_where_it_is(ses
     session.until_moving()
     # Moved by hand, 0.2 rad: the next motion begins there.
     client.controller.q = client.controller.q + 0.2
-    client.controller._hold()
+    client.controller.hold()
     session.until_hold("the arm does not follow")
     n_sent = len(client.trajectories)
     session.until_moving()
