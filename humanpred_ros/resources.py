@@ -1,12 +1,15 @@
-"""Where the package's own data lie: a source checkout, a wheel's prefix, or a colcon install space."""
+"""Where the package's own data lie (a checkout, a wheel's prefix, a colcon install space); files written whole."""
 
 from __future__ import annotations
 
 import os
 import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from humanpred_ros.errors import UsageError
+from humanpred_ros.errors import HumanPredError, UsageError
 
 PACKAGE_NAME = "humanpred_ros"
 
@@ -70,3 +73,31 @@ def locate(name: str, *folder: str, suffix: str = "") -> Path:
     fitting = [entry for entry in home.iterdir() if (entry.name.endswith(suffix) if suffix else entry.is_dir())]
     names = ", ".join(sorted(entry.name.removesuffix(suffix) for entry in fitting))
     raise UsageError(f"{name!r} is neither a path that exists nor a name shipped in {'/'.join(folder)} ({names})")
+
+
+@contextmanager
+def replacing(path: Path, error: type[HumanPredError] = UsageError) -> Iterator[Path]:
+    """Give a temporary file to write, in the same folder; it takes the name `path` only if all went well.
+
+    A reader sees the old file or the new one, never a part.
+
+    Raises:
+        HumanPredError: of class `error`, where the file cannot be written, as on a full disk.
+    """
+    name = None
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=path.suffix, dir=path.parent)
+        os.close(handle)
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(name, 0o666 & ~umask)  # mkstemp lets nobody else read
+        yield Path(name)
+        with open(name, "rb") as written:
+            os.fsync(written.fileno())  # some disks say only now that they are full
+        os.replace(name, path)
+    except OSError as trouble:
+        raise error(f"{path}: cannot be written ({trouble.strerror or trouble}); choose another place") from trouble
+    finally:
+        if name is not None:
+            with suppress(OSError):
+                os.unlink(name)

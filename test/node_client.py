@@ -33,12 +33,14 @@ class NodeClient:
 
     Attributes:
         diagnostics: message and values of the tested node's last status.
+        level: of that status.
         group: the processes; a test may start others.
         node: the test's own.
     """
 
     def __init__(self, folder: Path, tested: str, parameters: Mapping[str, ParameterValue]) -> None:
         self.diagnostics: tuple[str, dict[str, str]] = ("", {})
+        self.level = b""
         self.group = NodeGroup(folder / "logs", free_domain_id())
         self._tested, self._parameters = tested, parameters
 
@@ -128,3 +130,4 @@ class NodeClient:
         for status in message.status:
             if status.name == self._tested:
                 self.diagnostics = (status.message, {item.key: item.value for item in status.values})
+                self.level = status.level

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
+import struct
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Literal
 
-from mcap.writer import CompressionType, Writer
+from mcap.opcode import Opcode
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from rosbags.interfaces import Qos
 
 from humanpred_ros import __version__
@@ -25,6 +28,8 @@ from humanpred_ros.settings import Settings, setting
 _COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
 #: Times are nanoseconds since the epoch in 64 bits with a sign.
 LAST_TIME_NS = 2**63 - 1
+#: Ends a file without summary and checksum: records DataEnd and Footer (opcode, length, zeros for "none"), magic.
+_PLAIN_END = struct.pack("<BQIBQQQI", Opcode.DATA_END, 4, 0, Opcode.FOOTER, 20, 0, 0, 0) + MCAP0_MAGIC
 
 
 class StorageOptions(Settings):
@@ -44,7 +49,7 @@ class BagWriter:
     While it runs, every closed chunk is already with the operating system: after a kill the file can be
     salvaged up to there. Leaving the block writes index and footer and then metadata.yaml. A `staged`
     bag appears under its name only when complete, and not at all if the block raises; a live bag keeps
-    what was recorded until then.
+    what was recorded until then. One that cannot be written any more is closed, and ends after the last flush.
 
     Args:
         directory: the bag, `<directory>/{metadata.yaml, <name>_0.mcap}`.
@@ -75,6 +80,7 @@ class BagWriter:
         self._schemas: dict[tuple[str, str], int] = {}
         self._counts: dict[str, int] = {}
         self._custom: dict[str, str] = {}
+        self._flushed_bytes, self._flushed_counts = 0, dict[str, int]()
         self._start_ns, self._end_ns = LAST_TIME_NS, 0
         self._pending = 0
         self._overwrite = overwrite
@@ -96,16 +102,16 @@ class BagWriter:
                 shutil.rmtree(self._folder)
             self._folder.mkdir(parents=True)
             self._stream: IO[bytes] | None = (self._folder / self._file_name).open("xb")
+            self._mcap: Any = Writer(
+                self._stream,
+                chunk_size=self._options.chunk_bytes,
+                compression=_COMPRESSION[self._options.compression],
+                enable_data_crcs=True,
+            )
+            self._mcap.start(profile="ros2", library=f"humanpred_ros {__version__}")
+            self._flush(clock())
         except OSError as trouble:
             raise BagError(f"{self.directory}: cannot be created ({trouble}); choose a writable place") from trouble
-        self._mcap: Any = Writer(
-            self._stream,
-            chunk_size=self._options.chunk_bytes,
-            compression=_COMPRESSION[self._options.compression],
-            enable_data_crcs=True,
-        )
-        self._mcap.start(profile="ros2", library=f"humanpred_ros {__version__}")
-        self._last_flush_s = clock()
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -213,21 +219,17 @@ class BagWriter:
         with self._lock:
             if self._stream is None:
                 return
-            stream, self._stream = self._stream, None
-            topics = [replace(topic, count=self._counts[name]) for name, topic in self._topics.items()]
-            facts = (self._file_name, topics, self._start_ns, self._end_ns, self._custom)
             try:
-                with stream:
-                    self._mcap.add_metadata("rosbag2", {"serialized_metadata": metadata_text(*facts, bare=True)})
-                    self._mcap.finish()
-                temporary = self._folder / "metadata.yaml.partial"
-                temporary.write_text(metadata_text(*facts), encoding="utf-8")
-                temporary.replace(self._folder / "metadata.yaml")
+                text = metadata_text(*self._facts(self._counts), bare=True)
+                self._mcap.add_metadata("rosbag2", {"serialized_metadata": text})
+                self._mcap.finish()
+                self._stream.flush()
+                self._write_metadata(self._counts)
+                self._stream.close()
+                self._stream = None
                 if self._staged:
                     self._put_in_place()
             except OSError as trouble:
-                if self._staged:
-                    shutil.rmtree(self._folder, ignore_errors=True)
                 raise self._cannot_write(trouble) from trouble
 
     def __enter__(self) -> BagWriter:
@@ -244,8 +246,38 @@ class BagWriter:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def _flush(self, now_s: float) -> None:
+        assert self._stream is not None
         self._mcap.flush()
+        if os.fstat(self._stream.fileno()).st_nlink == 0:
+            raise FileNotFoundError(errno.ENOENT, f"{self._file_name} was removed")
         self._pending, self._last_flush_s = 0, now_s
+        self._flushed_bytes, self._flushed_counts = self._stream.tell(), dict(self._counts)
+
+    def _end_after_flushed(self) -> None:
+        """Close the bag with what was flushed; a disk that refuses even that leaves a file that can be salvaged."""
+        stream, self._stream = self._stream, None
+        if stream is None:
+            return
+        file = os.dup(stream.fileno())
+        with suppress(OSError):
+            stream.close()  # what is still in its buffer is refused again, or cut off below
+        with suppress(OSError):
+            os.ftruncate(file, self._flushed_bytes)
+            os.lseek(file, 0, os.SEEK_END)
+            if os.write(file, _PLAIN_END) == len(_PLAIN_END):
+                self._write_metadata(self._flushed_counts)
+            else:
+                os.ftruncate(file, self._flushed_bytes)
+        os.close(file)
+
+    def _write_metadata(self, counts: Mapping[str, int]) -> None:
+        temporary = self._folder / "metadata.yaml.partial"
+        temporary.write_text(metadata_text(*self._facts(counts)), encoding="utf-8")
+        temporary.replace(self._folder / "metadata.yaml")
+
+    def _facts(self, counts: Mapping[str, int]) -> tuple[str, list[TopicInfo], int, int, dict[str, str]]:
+        topics = [replace(topic, count=counts.get(name, 0)) for name, topic in self._topics.items()]
+        return self._file_name, topics, self._start_ns, self._end_ns, self._custom
 
     def _put_in_place(self) -> None:
         if self.directory.exists():
@@ -268,7 +300,13 @@ class BagWriter:
                 raise self._cannot_write(trouble) from trouble
 
     def _cannot_write(self, trouble: OSError) -> BagError:
-        return BagError(f"{self.directory}: cannot be written ({trouble}); free space or choose another place")
+        """Close the bag, and return what to tell."""
+        self._end_after_flushed()
+        if self._staged:
+            shutil.rmtree(self._folder, ignore_errors=True)
+        full = trouble.errno in (errno.ENOSPC, errno.EDQUOT)
+        why = f"disk full: {trouble.strerror}" if full else trouble.strerror
+        return BagError(f"{self.directory}: cannot be written ({why}); free space or choose another place")
 
 
 def require_only_a_bag(folder: Path) -> None:

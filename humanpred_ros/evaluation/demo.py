@@ -31,7 +31,7 @@ from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR, SET, Given, given_settings, parameters_of
-from humanpred_ros.resources import locate
+from humanpred_ros.resources import locate, replacing
 from humanpred_ros.robot.scene_file import RECORDED_SCENE, read_scene_file, scene_names
 from humanpred_ros.settings import Settings, setting, setting_of
 
@@ -186,7 +186,9 @@ def _start(
         },
     )
     info = json.dumps(_facts(settings, motion, period_s))
-    group.start("run_recorder", {"output": str(folder / "bag"), "run_info": info, "markers": settings.markers})
+    group.start(
+        "run_recorder", {"output": str(folder / "bag"), "stay": False, "run_info": info, "markers": settings.markers}
+    )
     from humanpred_ros.robot.scene import load_scene
 
     scene = load_scene(settings.scene)
@@ -214,7 +216,8 @@ def _model(
         names = needed_classifiers(settings.predictor, settings.classifier)
         with console.status(escape(f"training on {len(training)} motions of {library.name}")):
             found = model_of(training, human, {name: classifier_settings(name, settings.seed, given) for name in names})
-        shutil.copyfile(found, path)
+        with replacing(path) as part:
+            shutil.copyfile(found, part)
     return path
 
 

@@ -163,7 +163,9 @@ def _run_graph(
     folder.mkdir(parents=True)
     ready_cpu_s = float("nan")
     with NodeGroup(folder / "logs", free_domain_id()) as group:
-        group.start("run_recorder", {"output": str(folder / "bag"), "run_info": json.dumps({"bench": "graph"})})
+        group.start(
+            "run_recorder", {"output": str(folder / "bag"), "stay": False, "run_info": json.dumps({"bench": "graph"})}
+        )
         group.start("simulated_arm", {"scene": planner["scene"]})
         group.start("occupancy_predictor", {"listener": "stomp_planner", **predictor})
         if alone:

@@ -9,9 +9,7 @@ import math
 import os
 import platform
 import re
-import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +20,7 @@ from humanpred_ros import __version__
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.parallel import usable_cores
 from humanpred_ros.motion.motion import MotionLibrary
+from humanpred_ros.resources import replacing
 from humanpred_ros.settings import Settings
 from humanpred_ros.viewing.figures import report_style
 
@@ -44,26 +43,6 @@ def check_writable(path: str | Path, *suffixes: str) -> Path:
     if path.is_dir() or not os.access(path.parent, os.W_OK):
         raise UsageError(f"{path}: wanted a file that can be written, this cannot; choose another")
     return path
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary file to write, in the same folder; it takes the name `path` only if all went well."""
-    try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=path.suffix, dir=path.parent)
-        os.close(handle)
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(name, 0o666 & ~umask)  # mkstemp lets nobody else read
-    except OSError as trouble:
-        raise UsageError(f"{path}: cannot be written ({trouble.strerror}); choose another place") from trouble
-    try:
-        yield Path(name)
-        os.replace(name, path)
-    except OSError as trouble:
-        raise UsageError(f"{path}: cannot be written ({trouble.strerror}); choose another place") from trouble
-    finally:
-        Path(name).unlink(missing_ok=True)
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -133,7 +133,9 @@ def measure_node(people: People, predictor: str, folder: Path) -> dict[str, Any]
     wait_for = f"{topics.human_joint_states('<id>')},{topics.OCCUPANCY}"
     info = json.dumps({"bench": "predictor"})
     with NodeGroup(folder / "logs", free_domain_id()) as group:
-        group.start("run_recorder", {"output": str(folder / "bag"), "run_info": info, "wait_for": wait_for})
+        group.start(
+            "run_recorder", {"output": str(folder / "bag"), "stay": False, "run_info": info, "wait_for": wait_for}
+        )
         node = group.start(_NODE, parameters)
         hold_to_one_core(node.process.pid)
         usage = replay(group, motion)

@@ -26,6 +26,8 @@ _POLL_S = 0.02
 _SETTLE_S = 0.3  # the last messages reach the recorder after their sender has ended
 _PR_SET_PDEATHSIG = 1
 _TAIL_LINES = 8
+#: Status of a node that has said in one line why it ended.
+_NAMED_ERROR = 2
 
 ParameterValue = str | int | float | bool | Sequence[str]
 
@@ -114,11 +116,14 @@ class NodeGroup:
         return entry
 
     def check(self) -> None:
-        """Raise UsageError, with the end of its log, if a node has ended with an error."""
+        """Raise UsageError, with what it said last, if a node has ended with an error."""
         for node in self.nodes:
             status = node.process.poll()
+            if status == _NAMED_ERROR and node.tail():  # said in its last line
+                raise UsageError(node.tail().splitlines()[-1])
             if status:
-                raise UsageError(f"{node.name} ended with status {status}; the end of {node.log}:\n{node.tail()}")
+                end = f"the end of {node.log}:\n{node.tail()}" if node.tail() else f"{node.log} is empty: disk full?"
+                raise UsageError(f"{node.name} ended with status {status}; {end}")
 
     def wait_for(self, source: NodeProcess, meanwhile: Callable[[], None] = lambda: None) -> None:
         """Wait until the node that feeds the others has ended by itself, and what was sent last has arrived.

@@ -46,6 +46,7 @@ def replay_run(folder: Path, out: Path) -> Comparison:
             "run_recorder",
             {
                 "output": str(out),
+                "stay": False,
                 "run_info": json.dumps(dict(info)),
                 "wait_for": f"{topics.OCCUPANCY},{topics.DECISION}",
             },

@@ -7,6 +7,8 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -23,9 +25,9 @@ from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 
 from humanpred_ros import topics
-from humanpred_ros.errors import HumanPredError, UsageError
+from humanpred_ros.errors import HumanPredError, UsageError, one_line
 from humanpred_ros.nodes import qos
-from humanpred_ros.nodes.inputs import Change, Input, Refusals, one_line
+from humanpred_ros.nodes.inputs import Change, Input, Refusals
 
 READY = "ready"
 _STATUS_PERIOD_S = 0.2
@@ -244,11 +246,15 @@ def run_node(make_node: Callable[[], GraphNode], arguments: list[str] | None = N
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         if node is not None:
             failure = failure or node.failure
-            node.close()
+            try:
+                node.close()
+            except HumanPredError as error:
+                failure = failure or error
             node.destroy_node()
         rclpy.try_shutdown()
     if failure is not None:
-        print(f"{sys.argv[0]}: {' '.join(str(failure).split())}", file=sys.stderr)
+        with suppress(OSError):  # of a log on a full disk
+            print(f"{Path(sys.argv[0]).stem}: {' '.join(str(failure).split())}", file=sys.stderr, flush=True)
         return 2
     return 0
 

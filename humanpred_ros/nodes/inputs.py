@@ -10,25 +10,19 @@ from collections.abc import Callable
 
 import numpy as np
 
+from humanpred_ros.errors import one_line
+
 #: Rates and latencies are of the last seconds; a refusal counts as recent for so long.
 WINDOW_S = 3.0
 RECENT_S = 5.0
 #: At a higher rate the window is shorter.
 _MOST_KEPT = 2048
-_LONGEST_TEXT = 400
 _NUMBER = re.compile(r"-?\d[\d.]*(e[-+]?\d+)?")
 
 
 def kind_of(reason: str) -> str:
     """Return what reasons of one kind have in common: what stands before the first colon, numbers left out."""
     return _NUMBER.sub("#", one_line(reason.split(":", 1)[0]))
-
-
-def one_line(text: str) -> str:
-    """Return a text of bounded length without line breaks or control characters, whoever wrote it."""
-    text = " ".join(text[: 2 * _LONGEST_TEXT].split())
-    text = "".join(letter if letter.isprintable() else "?" for letter in text)
-    return text if len(text) <= _LONGEST_TEXT else f"{text[: _LONGEST_TEXT - 4]} ..."
 
 
 class Input:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -15,7 +18,7 @@ from visualization_msgs.msg import MarkerArray
 from humanpred_ros import topics
 from humanpred_ros.bags.metadata import DEFAULT_QOS, LATCHED_QOS
 from humanpred_ros.bags.writer import BagWriter
-from humanpred_ros.errors import UsageError
+from humanpred_ros.errors import BagError, UsageError
 from humanpred_ros.nodes import qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.parameters import declare
@@ -35,13 +38,18 @@ class RunRecorderSettings(Settings):
     )
     run_info: str = setting("{}", "JSON object of facts about the run, stored in the bag as metadata")
     markers: bool = setting(False, "record the markers too; their publishers are silent otherwise, which saves time")
+    stay: bool = setting(
+        True, "when nothing can be written any more: stay, and say so on /diagnostics; false: end with status 2"
+    )
 
 
 class RunRecorder(GraphNode):
     """Subscribes to the graph's topics as serialized bytes and writes them as they come.
 
     log_time is the wall time of receipt, publish_time the sender's, so latencies between nodes can be
-    read off the bag.
+    read off the bag. What has come is with the operating system half a second later: a recorder that is killed loses
+    no more than that. When the disk refuses (full, removed), the bag ends with what it took, and the node says at once
+    that nothing is recorded any more, on the terminal and, with level ERROR, on /diagnostics.
     """
 
     def __init__(self) -> None:
@@ -79,20 +87,43 @@ class RunRecorder(GraphNode):
         unknown = [topic for topic in self.wanted if topic not in {name for name, _, _ in recorded}]
         if unknown:
             raise UsageError(f"parameter wait_for: wanted recorded topics, got {', '.join(unknown)}")
+        self.hardware_id = str(Path(settings.output).resolve())
         self.writer = BagWriter(settings.output)
         self.writer.add_metadata("run", {key: str(value) for key, value in info.items()})
         for topic, kind, profile in recorded:
             self._record(topic, kind, profile)
-        self.create_timer(_FLUSH_PERIOD_S, self.writer.flush, clock=self._status_timer.clock)
+        flush = partial(self._unless_refused, self.writer.flush)
+        self.create_timer(_FLUSH_PERIOD_S, flush, clock=self._status_timer.clock)
 
     def _record(self, topic: str, kind: Any, profile: Any) -> None:
         name = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
         self.writer.add_topic(topic, name, qos=LATCHED_QOS if profile is qos.LATCHED else DEFAULT_QOS)
 
         def on_message(data: bytes, info: Any) -> None:
-            self.writer.write(topic, info["received_timestamp"], bytes(data), info["source_timestamp"])
+            # The sender's time is whatever it says.
+            times = info["received_timestamp"], max(info["source_timestamp"], 0)
+            self._unless_refused(self.writer.write, topic, times[0], bytes(data), times[1])
 
         self.listen(kind, topic, on_message, profile, raw=True)
+
+    def _unless_refused(self, write: Callable[..., None], *arguments: Any) -> None:
+        """Write something; after a refusal by the disk nothing is written any more."""
+        if self.failure is not None:
+            return
+        try:
+            write(*arguments)
+        except BagError as error:
+            if not self.settings.stay:
+                self.stop_with(error)
+                return
+            self.failure = error  # which makes the status 2 when the node is ended
+            self.get_logger().error(self.fault())
+
+    def fault(self) -> str:
+        return "" if self.failure is None else f"not recording: {self.failure}"
+
+    def working(self) -> str:
+        return "recording" if any(heard.came_s for heard in self.inputs.values()) else super().working()
 
     def waiting_for(self) -> str:
         missing = [topic for topic in self.wanted if not self.inputs[topic].publishers()]
@@ -100,8 +131,9 @@ class RunRecorder(GraphNode):
 
     def close(self) -> None:
         """Finish the bag: without this it would have to be salvaged."""
-        self.writer.close()
-        self.get_logger().info(f"bag written: {self.settings.output}")
+        if self.failure is None:
+            self.writer.close()
+            self.get_logger().info(f"bag written: {self.settings.output}")
 
 
 main = entry_point(RunRecorder)

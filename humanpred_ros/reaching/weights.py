@@ -7,7 +7,6 @@ features is refused.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from humanpred_ros.errors import HumanPredError, ModelFileError, MotionError, Us
 from humanpred_ros.files import read_json
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.reaching.features import FEATURE_NAMES, N_FEATURES, NAMED_WEIGHTS, SCALES
+from humanpred_ros.resources import replacing
 
 FORMAT, FORMAT_VERSION = "humanpred_ros reach weights", 2
 
@@ -119,15 +119,8 @@ def save_weights(weights: ReachWeights, path: str | Path) -> None:
             f"weights {path}: wanted a provenance of finite numbers, text, lists and mappings, it is not ({trouble}); "
             "correct it"
         ) from trouble
-    try:
-        part = path.with_name(f".{path.name}.{os.getpid()}.part")  # same folder: a rename is atomic only within a disk
-        try:
-            part.write_text(text, encoding="utf-8")
-            os.replace(part, path)
-        finally:
-            part.unlink(missing_ok=True)
-    except (OSError, ValueError) as trouble:  # ValueError: a path without a name
-        raise ModelFileError(f"weights {path}: could not be written ({trouble}); choose another place") from trouble
+    with replacing(path, ModelFileError) as part:
+        part.write_text(text, encoding="utf-8")
 
 
 def load_weights(path: str | Path) -> ReachWeights:

@@ -30,7 +30,7 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.recognition.classifier import Classifier, classifier_type
-from humanpred_ros.resources import cache_root
+from humanpred_ros.resources import cache_root, replacing
 from humanpred_ros.settings import Settings
 
 #: Link of the human that reaches; every human model of this package has it.
@@ -155,20 +155,13 @@ def save_model(model: TrainedModel, path: str | Path) -> None:
         ModelFileError: the file cannot be written, or a classifier gives something that it cannot hold.
     """
     path = Path(path)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")  # same folder: a rename is atomic only within a disk
     arrays = _arrays(model)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with part.open("wb") as file:
-                np.savez(file, allow_pickle=False, **arrays)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(part, path)
-        finally:
-            part.unlink(missing_ok=True)
     except OSError as trouble:
-        raise ModelFileError(f"model file {path}: could not be written ({trouble}); choose another place") from trouble
+        raise ModelFileError(f"{path.parent}: cannot be made ({trouble.strerror}); choose another place") from trouble
+    with replacing(path, ModelFileError) as part, part.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
 
 
 def load_model(path: str | Path, human: HumanModel) -> TrainedModel:

@@ -22,7 +22,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from humanpred_ros import __version__
-from humanpred_ros.errors import UsageError
+from humanpred_ros.resources import replacing
 from humanpred_ros.viewing.analysis import Analysis, RunSummary, analyse
 from humanpred_ros.viewing.figures import report_style, svg_of
 from humanpred_ros.viewing.key_figures import key_figures
@@ -57,7 +57,8 @@ def report_run(folder: str | Path, path: str | Path | None = None) -> RunSummary
     analysis = analyse(read_run(folder))
     path = Path(folder) / "report.html" if path is None else Path(path)
     write_report(analysis, path)
-    _write_whole(path.with_name("summary.json"), analysis.summary.to_json())
+    with replacing(path.with_name("summary.json")) as part:
+        part.write_text(analysis.summary.to_json(), encoding="utf-8")
     return analysis.summary
 
 
@@ -67,22 +68,9 @@ def write_report(analysis: Analysis, path: Path) -> None:
     Raises:
         UsageError: the file cannot be written there.
     """
-    _write_whole(path, render_report(analysis))
-
-
-def _write_whole(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}.partial-{os.getpid()}")
-    try:
-        stream = temporary.open("x", encoding="utf-8")  # never through a link that lies there
-        try:
-            with stream:
-                stream.write(text)
-            temporary.replace(path)
-        except OSError:
-            temporary.unlink(missing_ok=True)
-            raise
-    except OSError as trouble:
-        raise UsageError(f"{path}: cannot be written ({trouble.strerror}); choose another place") from trouble
+    text = render_report(analysis)
+    with replacing(path) as part:
+        part.write_text(text, encoding="utf-8")
 
 
 def render_report(analysis: Analysis) -> str:
