@@ -27,7 +27,8 @@ HUMANS = {
     "kinect12": "P1: 12 DoFs, as a Kinect tracker sees a person",
     "mocap23": "P2: 23 DoFs, as motion capture sees trunk and right arm",
 }
-
+#: Frames of the trackers that see them so, where nobody says otherwise.
+TRACKER_FRAMES = {"kinect12": "kinect", "mocap23": "mocap"}
 
 T = TypeVar("T", bound=np.generic)
 

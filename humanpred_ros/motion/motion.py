@@ -18,6 +18,8 @@ from humanpred_ros.human.kinect import LINK_OF_POINT
 
 #: DoFs that say where the body stands, x, y, z in metres and then the turn about z in radians.
 PELVIS_DOFS = ("PelvisTransX", "PelvisTransY", "PelvisTransZ", "PelvisRotZ")
+#: DoFs of bodies whose pelvis tilts, about x and then y, before it turns about z.
+_TILTS = ("PelvisRotX", "PelvisRotY")
 #: A transform's rotation may be off by this much, as text with six digits is.
 _TOLERANCE = 1e-6
 #: No motion holds more: stamps are nanoseconds in 64 bits, and compiled loops count voxels in them.
@@ -318,18 +320,43 @@ def placed(motion: Motion, T: ArrayLike) -> Motion:
     Raises:
         MotionError: no such DoFs, or a transform that is not of this kind.
     """
-    columns = pelvis_columns(motion.dof_names)
     T = checked("placement", T, (4, 4), error=MotionError)
-    yaw = math.atan2(T[1, 0], T[0, 0])
-    if np.abs(T[:3, :3] - turn_and_shift(yaw)[:3, :3]).max() > _TOLERANCE or (T[3] != (0.0, 0.0, 0.0, 1.0)).any():
-        raise MotionError(
-            f"placing {motion.name}: wanted a turn about z and a translation, got {T.tolist()}; a person stays upright"
-        )
-    q = np.array(motion.q)
-    q[:, columns[:3]] = q[:, columns[:3]] @ T[:3, :3].T + T[:3, 3]
-    q[:, columns[3]] += yaw
+    q = placed_postures(motion.q, motion.dof_names, T)
     points = None if motion.points_m is None else motion.points_m @ T[:3, :3].T + T[:3, 3]
     return replace(motion, q=q, points_m=points)
+
+
+def placed_postures(q: ArrayLike, dof_names: Sequence[str], T: ArrayLike) -> FloatArray:
+    """Return postures (..., D) moved by the rigid transform `T` (4, 4).
+
+    Raises:
+        MotionError: no DoFs that place the body, or a transform other than a turn about z and a translation: a body's
+            frame, like a tracker's world, has z up.
+    """
+    x, y, z, yaw = pelvis_columns(dof_names)
+    T = checked("placement", T, (4, 4), error=MotionError)
+    turn = math.atan2(T[1, 0], T[0, 0])
+    if np.abs(T[:3, :3] - turn_and_shift(turn)[:3, :3]).max() > _TOLERANCE or (T[3] != (0.0, 0.0, 0.0, 1.0)).any():
+        raise MotionError(
+            f"placing a body: wanted a turn about z and a translation, got {T.tolist()}; a person stays upright"
+        )
+    q = np.array(q, dtype=np.float64)
+    q[..., [x, y, z]] = q[..., [x, y, z]] @ T[:3, :3].T + T[:3, 3]
+    if not set(_TILTS) <= set(dof_names):
+        q[..., yaw] += turn
+        return q
+    # The turn about the vertical comes before the tilts, which come before the body's own turn.
+    tilts = [list(dof_names).index(name) for name in _TILTS]
+    angles = np.stack([q[..., tilts[0]], q[..., tilts[1]], q[..., yaw]])
+    (sa, sb, sc), (ca, cb, cc) = np.sin(angles), np.cos(angles)
+    # Rotation about x, then y, then z: of its first two rows what the turn mixes, of the third what it leaves.
+    x_of = np.stack([cb * cc, ca * sc + sa * sb * cc], axis=-1) @ T[:2, :2].T
+    y_of = np.stack([-cb * sc, ca * cc - sa * sb * sc], axis=-1) @ T[:2, :2].T
+    z_of = np.stack([sb, -sa * cb], axis=-1) @ T[:2, :2].T
+    q[..., tilts[0]] = np.arctan2(-z_of[..., 1], ca * cb)
+    q[..., tilts[1]] = np.arcsin(np.clip(z_of[..., 0], -1.0, 1.0))
+    q[..., yaw] = np.arctan2(-y_of[..., 0], x_of[..., 0])
+    return q
 
 
 def start_pelvis_m(library: MotionLibrary) -> FloatArray:

@@ -27,8 +27,9 @@ _CENTRE_TOLERANCE = 1e-3  # of a voxel: what float32 coordinates can be off by, 
 
 
 def time_message(stamp_ns: int) -> Time:
-    """Return a Time for integer nanoseconds."""
-    return Time(sec=stamp_ns // NS_PER_S, nanosec=stamp_ns % NS_PER_S)
+    """Return a Time for integer nanoseconds; the first or last one for what a Time cannot hold."""
+    sec = stamp_ns // NS_PER_S
+    return Time(sec=min(max(sec, -(2**31)), 2**31 - 1), nanosec=stamp_ns % NS_PER_S)
 
 
 def stamp_ns(stamp: Time | Duration) -> int:

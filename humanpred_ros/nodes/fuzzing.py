@@ -335,13 +335,14 @@ class RecorderTarget(Target):
         return {"output": str(bench.folder / "recorded")}
 
     def cases(self, node: Any, bench: Bench, spoil: Mutator, spoiled: bool, now_ns: int) -> Iterator[Case]:
-        topic = spoil.one_of(list(node.inputs))
+        # The node's own, not that of its clock.
+        heard = [one for one in node.subscriptions if one.callback.__name__ == "on_message"]
         data = serialize_message(stamped(spoil.one_of(bench.clouds), now_ns))[:4096]
         times = {"received_timestamp": now_ns, "source_timestamp": now_ns}
         if spoiled:
             data = spoil.raw(data)
             times["source_timestamp"] = int(spoil.one_of((0, -1, 2**63 - 1, -(2**63), now_ns)))
-        yield Case(node.inputs[topic].callback, (data, times))
+        yield Case(spoil.one_of(heard).callback, (data, times))
         if spoil.rng.random() < 0.02:
             yield Case(node.writer.flush, ())
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -14,14 +15,17 @@ from std_msgs.msg import Bool, String
 from visualization_msgs.msg import MarkerArray
 
 from humanpred_ros import topics
-from humanpred_ros.errors import HumanPredError, UsageError
+from humanpred_ros.errors import ArrayError, HumanPredError, UsageError
 from humanpred_ros.geometry import compiled
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.human.model import human_named
+from humanpred_ros.human.model import TRACKER_FRAMES, human_named
 from humanpred_ros.human.plausible import PlausibilityCheck, PlausibilitySettings
+from humanpred_ros.human.stamps import StampCheck, StampSettings
 from humanpred_ros.motion.library_io import load_library
+from humanpred_ros.motion.motion import placed_postures
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
+from humanpred_ros.nodes.frames import TrackerFrames, tf_lookup
 from humanpred_ros.nodes.markers import occupancy_markers
 from humanpred_ros.nodes.parameters import declare, declare_plugin, plugin_parameters
 from humanpred_ros.occupancy.predictor import (
@@ -49,7 +53,7 @@ _MARKER_PERIOD_NS = 200_000_000
 _REACH_PERIOD_NS = 1_000_000_000
 
 
-class OccupancyPredictorSettings(PlausibilitySettings):
+class OccupancyPredictorSettings(PlausibilitySettings, StampSettings):
     """Parameters of `occupancy_predictor`."""
 
     scene: str = setting("face_to_face", "scene name in config/scenes, or a YAML file")
@@ -64,6 +68,9 @@ class OccupancyPredictorSettings(PlausibilitySettings):
         "an installed package's",
     )
     human: str = setting("kinect12", "whose postures come: kinect12 (P1, 12 DoFs) or mocap23 (P2, 23 DoFs)")
+    human_frame: str = setting(
+        "", "frame the postures must be in; empty: the scene's, else the library's; with TF, others are moved there"
+    )
     places: tuple[str, ...] = setting(
         ("",),
         "reaching only: where the hand may go, each 'label x y z' (world frame, m); [''] asks scene, then library",
@@ -73,10 +80,6 @@ class OccupancyPredictorSettings(PlausibilitySettings):
     body_id: str = setting("body_0", "REP-155 body id listened to")
     threshold: float = setting(0.001, "voxels with a higher probability are published", low=0.0, high=1.0)
     listener: str = setting("", "node that must be listening to the occupancy before this one is ready")
-    restart_gap_s: float = setting(1.0, "a longer silence starts a new motion", unit="s", low=0.05, high=60.0)
-    max_ahead_s: float = setting(
-        0.05, "postures with a stamp farther ahead of the clock are invalid", unit="s", low=0.0, high=10.0
-    )
     lossless: bool = setting(False, "subscribe reliably and keep every posture (stepped runs)")
 
 
@@ -84,8 +87,9 @@ class OccupancyPredictorNode(GraphNode):
     """One occupancy, and one class posterior, per posture received.
 
     A posture that cannot be used, or that no person can have, is refused with a counted reason on /diagnostics; what is
-    published then says that nobody knows where people are, and why, so that the planner holds at once. A jump back in
-    time or a long silence starts a new motion.
+    published then says that nobody knows where people are, and why, so that the planner holds at once. Only a posture
+    that was overtaken on its way is refused silently. A long silence, or postures that were refused for how they look,
+    start a new motion.
 
     With the predictor `reaching`, the places where the hand may go can be changed while the node runs
     (parameter `places`); those that the person cannot get to are warned about on /diagnostics.
@@ -107,6 +111,8 @@ class OccupancyPredictorNode(GraphNode):
         scene_places = places_in_world({place.label: place.place_m for place in scene.places}, scene.T_world_human)
         self.scene_places = None if scene_places is None else scene_places.by_label
         self.reaching: ReachingPredictor | None = None
+        #: Frame of what was learned from, empty where nothing was.
+        self.library_frame = ""
         with compiled.announced("occupancy predictor", self.get_logger().info):
             if settings.predictor == "reaching":
                 self.reaching = self._reaching(scene, told, cast("ReachingSettings", own))
@@ -115,11 +121,18 @@ class OccupancyPredictorNode(GraphNode):
         self.plausibility = PlausibilityCheck(
             self.human, scene.grid, scene.T_world_human, settings.part(PlausibilitySettings)
         )
-        self.held = False
-        self.origin_ns = 0
+        frame = settings.human_frame or scene.human_frame or self.library_frame or TRACKER_FRAMES[settings.human]
+        self.frames = TrackerFrames(frame.lstrip("/"), scene.T_world_human, tf_lookup(self))
+        self.stamps = StampCheck(settings.part(StampSettings), settings.lossless)
+        # When postures come, on a clock that nobody sets.
+        self.steady_s: Callable[[], float] = time.monotonic
+        self.held = self.doubted = False
+        #: Why nobody knows where people are; empty while that is known.
+        self.unknown = ""
+        self.first_ns = self.origin_ns = 0
         self.looked_ns: int | None = None
-        self.last_ns: int | None = None
         self.last_marker_ns = 0
+        self.place_warnings: dict[str, str] = {}
 
         self.publisher = self.create_publisher(PointCloud2, topics.OCCUPANCY, qos.SENSOR_PUBLISHER)
         self.goal_publisher = self.create_publisher(PointCloud2, topics.HUMAN_GOALS, qos.SENSOR_PUBLISHER)
@@ -144,6 +157,7 @@ class OccupancyPredictorNode(GraphNode):
         settings = self.settings
         model = self._model(classifier) if predictor_type(settings.predictor).needs_model else None
         self.goals_m = None if model is None else np.array(list(model.places.values()))
+        self.library_frame = "" if model is None else model.library.frame_id
         request = PredictorRequest(
             self.human,
             scene.grid,
@@ -182,12 +196,15 @@ class OccupancyPredictorNode(GraphNode):
         settings = self.settings
         reach_weights(own.weights)  # named wrongly, they should not cost the learning first
         if settings.model:
-            knowledge = ReachKnowledge.of_model(load_model(settings.model, self.human), self.human)
+            model = load_model(settings.model, self.human)
+            self.library_frame = model.library.frame_id
+            knowledge = ReachKnowledge.of_model(model, self.human)
         else:
             self.get_logger().info(f"no model given: learning how people reach from {settings.library}")
             library = load_library(locate(settings.library, "bags"))
             if "recordings" in library.provenance:
                 self.get_logger().info(f"motions: {library.provenance['recordings']}")
+            self.library_frame = library.frame_id
             knowledge = ReachKnowledge.of_library(library, self.human)
         predictor = ReachingPredictor(
             knowledge,
@@ -227,47 +244,66 @@ class OccupancyPredictorNode(GraphNode):
         return self.unmatched(self.publisher, self.settings.listener)
 
     def working(self) -> str:
-        return super().working() if self.last_ns is None else "predicting"
+        return "predicting" if self.first_ns else super().working()
+
+    def holding_because(self) -> str:
+        return self.unknown
 
     def on_posture(self, message: JointState) -> None:
         """Predict from one posture and publish; refuse it with a named reason if it cannot be used."""
         stamp_ns = conversions.stamp_ns(message.header.stamp)
         now_ns = self.get_clock().now().nanoseconds
-        ahead_s = (stamp_ns - now_ns) * 1e-9
-        gap_ns = self.settings.restart_gap_s * 1e9
-        if ahead_s > self.settings.max_ahead_s and not self.settings.lossless:
-            self._say_unknown(f"stamp ahead: the tracker's clock is {ahead_s:.3g} s ahead", now_ns)
+        verdict = self.stamps.judge(stamp_ns, now_ns, self.steady_s())
+        if verdict.refusal:
+            self.refuse(verdict.refusal)
+            if verdict.tell:
+                self._say_unknown(verdict.refusal, now_ns)
             return
-        if self.last_ns is not None and -gap_ns < stamp_ns - self.last_ns <= 0:
-            self.refuse(f"stamp not increasing: posture at {stamp_ns} ns after one at {self.last_ns} ns")
-            return
+        if verdict.begins:
+            self.plausibility.start()
+            self.first_ns, self.doubted = stamp_ns, True
         try:
-            q = conversions.ordered_positions(message, self.human.dof_names)
-            if self.last_ns is None or abs(stamp_ns - self.last_ns) > gap_ns:
+            q = self._believed(message, (stamp_ns - self.first_ns) * 1e-9)
+            if self.doubted:
                 self.predictor.start()
-                self.plausibility.start()
-                self.origin_ns = stamp_ns
-            self.last_ns = stamp_ns
-            t_s = (stamp_ns - self.origin_ns) * 1e-9
-            doubt = self.plausibility.refusal(q, t_s, self.held)
-            if doubt is not None:
-                self._say_unknown(str(doubt), stamp_ns)
-                return
-            prediction = self.predictor.update(q, t_s)
+                self.origin_ns, self.doubted = stamp_ns, False
+            prediction = self.predictor.update(q, (stamp_ns - self.origin_ns) * 1e-9)
         except HumanPredError as error:
+            self.doubted = True
+            self.refuse(str(error))
             self._say_unknown(str(error), stamp_ns)
             return
+        self.unknown = ""
         self.publisher.publish(conversions.occupancy_cloud(prediction.occupancy, self.settings.threshold, stamp_ns))
         self._publish_places(prediction, stamp_ns)
-        self._look_at_places(q, stamp_ns)
+        self._look_for_warnings(q, stamp_ns)
         if self.marker_publisher.get_subscription_count() and abs(stamp_ns - self.last_marker_ns) >= _MARKER_PERIOD_NS:
             self.last_marker_ns = stamp_ns
             self.marker_publisher.publish(occupancy_markers(prediction.occupancy, conversions.time_message(stamp_ns)))
 
     def _say_unknown(self, reason: str, stamp_ns: int) -> None:
-        """Refuse a posture, and tell whoever plans that nobody knows where people are."""
-        self.refuse(reason)
+        """Tell whoever plans that nobody knows where people are, and why."""
+        self.unknown = reason
         self.publisher.publish(conversions.unknown_cloud(reason, stamp_ns))
+
+    def _believed(self, message: JointState, t_s: float) -> FloatArray:
+        """Return the posture (D,) of a message in the tracker's frame of the scene.
+
+        Raises:
+            HumanPredError: one that cannot be read, is in a frame that is not known, or is not to be believed.
+        """
+        try:
+            q = conversions.ordered_positions(message, self.human.dof_names)
+            T = self.frames.placement(message.header.frame_id)
+        except ArrayError as error:
+            self.plausibility.unread(t_s, str(error).split(":", 1)[0])
+            raise
+        if T is not None:
+            q = placed_postures(q, self.human.dof_names, T)
+        doubt = self.plausibility.refusal(q, t_s, self.held)
+        if doubt is not None:
+            raise ArrayError(str(doubt))
+        return q
 
     def _publish_places(self, prediction: Prediction, stamp_ns: int) -> None:
         """Publish where the hand may go, and how probable each place is."""
@@ -282,13 +318,13 @@ class OccupancyPredictorNode(GraphNode):
         goals_m = self.goals_m @ T[:3, :3].T + T[:3, 3]
         self.goal_publisher.publish(conversions.goals_cloud(goals_m, posterior.labels, posterior.probability, stamp_ns))
 
-    def _look_at_places(self, q: FloatArray, stamp_ns: int) -> None:
-        """Warn of places told that this person does not get to."""
-        if self.reaching is None:
-            return
-        if self.looked_ns is None or abs(stamp_ns - self.looked_ns) >= _REACH_PERIOD_NS:
+    def _look_for_warnings(self, q: FloatArray, stamp_ns: int) -> None:
+        """Warn of places told that this person does not get to, of a clock that is behind, and of a moved tracker."""
+        if self.reaching is not None and (self.looked_ns is None or abs(stamp_ns - self.looked_ns) >= _REACH_PERIOD_NS):
             self.looked_ns = stamp_ns
-            self.warn(self.reaching.warnings(q))
+            self.place_warnings = self.reaching.warnings(q)
+        others = {"tracker clock": self.stamps.behind(), "tracker frame": self.frames.warning}
+        self.warn({**self.place_warnings, **{about: text for about, text in others.items() if text}})
 
 
 main = entry_point(OccupancyPredictorNode)

@@ -65,6 +65,7 @@ class Scene:
     grid: VoxelGrid  #: the voxels in which human occupancy is predicted
     #: where the person may reach, with different labels; without any the predictor asks its library
     places: tuple[Place, ...] = ()
+    human_frame: str = ""  #: name of the tracker's frame; empty where the scene leaves it open
 
     def __post_init__(self) -> None:
         T = checked(f"scene {self.name}: T_world_human", self.T_world_human, (4, 4), error=SceneError)
@@ -198,6 +199,7 @@ def _scene(file: SceneFile) -> Scene:
         T_world_human=planar_pose(*file.human.offset_m, float(file.human.angle("yaw"))),
         grid=VoxelGrid(file.grid.origin_m, file.grid.resolution_m, file.grid.shape),
         places=tuple(Place(entry.label, np.array(entry.place_m)) for entry in file.places),
+        human_frame=file.human.frame or "",
     )
 
 

@@ -155,6 +155,7 @@ class HumanSection(Section):
     offset_m: Triple = Field(description="Its origin, world frame (m)")
     yaw_rad: float | None = Field(None, description="Its turn about the vertical (rad)")
     yaw_deg: float | None = Field(None, description="The same in degrees")
+    frame: Name | None = Field(None, description="Its name in headers and TF; none: that of the library learned from")
 
 
 class GridSection(Section):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from paths import REPOSITORY
+from paths import REPOSITORY, shared_data
 
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
@@ -37,6 +37,11 @@ def test_recorded_reaches_are_believed() -> None:
         assert set(kinds(motion.q, motion.t_s)) == {""}
 
 
+def test_what_a_depth_camera_saw_of_real_people_is_believed() -> None:
+    for motion in load_library(shared_data("iros2013/library_a")).motions[::10]:
+        assert set(kinds(motion.q, motion.t_s)) == {""}
+
+
 def test_whole_turns_of_an_angle_are_the_same_posture() -> None:
     q = MOTION.q.copy()
     q[20:, HUMAN.dof_names.index("PelvisRotZ")] += 2.0 * np.pi
@@ -45,7 +50,7 @@ def test_whole_turns_of_an_angle_are_the_same_posture() -> None:
 
 @pytest.mark.parametrize(
     ("columns", "factor", "said"),
-    [(SLIDES, 1000.0, "millimetres"), (TURNS, 180.0 / np.pi, "degrees")],
+    [(SLIDES, 1000.0, "millimetres"), (SLIDES, 100.0, "centimetres"), (TURNS, 180.0 / np.pi, "degrees")],
 )
 def test_other_units_are_named(columns: list[int], factor: float, said: str) -> None:
     q = MOTION.q[0].copy()
@@ -87,6 +92,14 @@ def test_two_people_on_one_topic_are_never_believed() -> None:
     assert set(kinds(q)[1:]) == {"jump"}
 
 
+@pytest.mark.parametrize("apart_m", [0.1, 0.2])
+@pytest.mark.parametrize("pattern", [(0, 1), (0, 0, 1, 1), (0, 1, 2)])
+def test_two_people_who_stand_close_are_not_believed_either(pattern: tuple[int, ...], apart_m: float) -> None:
+    q = MOTION.q[:90].copy()
+    q[:, 0] += apart_m * np.resize(pattern, len(q))
+    assert "" not in kinds(q)[20:]
+
+
 def test_a_person_found_elsewhere_is_believed_again() -> None:
     q = MOTION.q[:60].copy()
     q[20:, 0] += 0.6
@@ -102,6 +115,33 @@ def test_a_posture_that_never_changes_is_a_tracker_that_has_stopped() -> None:
     assert set(kinds(noisy)) == {""}
     check = made()
     assert {check.refusal(posture, k / 30.0, held=True) for k, posture in enumerate(q)} == {None}
+
+
+def test_postures_that_repeat_in_turns_are_of_a_tracker_that_has_stopped() -> None:
+    found = kinds(np.resize(MOTION.q[:3], (60, MOTION.q.shape[1])))
+    assert found[:15] == [""] * 15
+    assert set(found[20:]) == {"frozen"}
+
+
+def test_an_arm_that_the_tracker_has_lost_is_found_while_the_rest_moves() -> None:
+    q = MOTION.q[0] + np.random.default_rng(0).normal(0.0, 1e-3, (90, MOTION.q.shape[1]))
+    arm = [k for k, name in enumerate(HUMAN.dof_names) if name.startswith("r")]
+    never = q.copy()
+    never[:, arm[:2]] = never[0, arm[:2]]
+    assert set(kinds(never)) == {""}, "joints that a tracker does not see"
+    q[40:70, arm] = q[40, arm]
+    check = made()
+    found = kinds(q, check=check)
+    assert set(found[:54]) == {""}
+    assert set(found[57:70]) == {"frozen"}
+    assert found[-1] == ""
+
+
+def test_what_follows_a_posture_that_could_not_be_read_is_believed_after_a_while() -> None:
+    check, q = made(), MOTION.q
+    assert check.refusal(q[0], 0.0) is None
+    check.unread(0.1, "not finite")
+    assert [getattr(check.refusal(q[k], k / 30), "kind", "") for k in (4, 8, 13)] == ["not finite", "not finite", ""]
 
 
 def test_every_fault_is_caught_again_after_it_has_gone() -> None:

@@ -19,6 +19,7 @@ from humanpred_ros.motion.motion import (
     Motion,
     MotionLibrary,
     placed,
+    placed_postures,
     resample,
     resample_phase,
     start_pelvis_m,
@@ -126,6 +127,16 @@ def test_every_point_of_the_body_moves_with_it(yaw: float, shift: tuple, about: 
     expected = HUMAN.surface_points(MOTION.q, 0.2) @ T[:3, :3].T + T[:3, 3]
     np.testing.assert_allclose(HUMAN.surface_points(moved.q, 0.2), expected, atol=1e-9)
     np.testing.assert_allclose(np.asarray(about) + shift, T[:3, :3] @ about + T[:3, 3], atol=1e-9)
+
+
+def test_a_pelvis_that_tilts_turns_about_the_vertical_all_the_same() -> None:
+    human = HumanModel.mocap23()
+    q = np.random.default_rng(2).uniform(-0.9, 0.9, (20, len(human.dof_names))).clip(human.lower, human.upper)
+    T = turn_and_shift(2.1, (0.3, -0.1, 0.2))
+    moved = placed_postures(q, human.dof_names, T)
+    expected = human.surface_points(q, 0.2) @ T[:3, :3].T + T[:3, 3]
+    np.testing.assert_allclose(human.surface_points(moved, 0.2), expected, atol=1e-9)
+    np.testing.assert_allclose(moved[3], placed_postures(q[3], human.dof_names, T), atol=1e-12)
 
 
 def test_nothing_else_changes_and_the_way_back_leads_back() -> None:

@@ -16,6 +16,7 @@ from humanpred_ros.evaluation.processes import free_domain_id
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
+from humanpred_ros.motion.motion import placed_postures, turn_and_shift
 from humanpred_ros.robot.scene import load_scene
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
@@ -24,10 +25,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from node_client import NodeClient
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.time import Time
 from sensor_msgs.msg import JointState
 
 from humanpred_ros import topics
 from humanpred_ros.nodes import conversions, qos
+from humanpred_ros.nodes.frames import pose_matrix
 from humanpred_ros.nodes.occupancy_predictor import OccupancyPredictorNode
 from humanpred_ros.nodes.run_recorder import RunRecorder
 from humanpred_ros.nodes.stomp_planner import StompPlannerNode
@@ -64,39 +67,159 @@ def posture(t_ns: int, q: np.ndarray = POSTURE, names: tuple[str, ...] = HUMAN.d
     return conversions.joint_state(names, q, t_ns, "kinect")
 
 
-def test_the_predictor_refuses_postures_by_name_and_goes_on(ros: Callable[..., Any]) -> None:
-    node = ros(OccupancyPredictorNode, {"predictor": "current", "scene": "face_to_face"})
-    published: list[int] = []
-    unknown: list[str] = []
+class PredictorWithClock:
+    """An occupancy_predictor whose clock the test sets, and what it publishes.
 
-    def publish(message: Any) -> None:
-        if message.width:
-            published.append(conversions.stamp_ns(message.header.stamp))
-            return
-        with pytest.raises(ArrayError) as caught:
+    Attributes:
+        said: of each cloud, the reason why nobody knows where people are, or "" for an ordinary one.
+    """
+
+    def __init__(self, make: Callable[..., Any], **parameters: str) -> None:
+        self.node = make(OccupancyPredictorNode, {"predictor": "current", "use_sim_time": "true", **parameters})
+        self.node.publisher.publish = self._take
+        self.node.steady_s = lambda: self.now_s
+        self.now_s, self.rng = 0.0, np.random.default_rng(0)
+        self.said: list[str] = []
+
+    def _take(self, message: Any) -> None:
+        try:
             conversions.occupancy_from_cloud(message, SCENE.grid, 0.0)
-        unknown.append(str(caught.value))
+        except ArrayError as error:
+            self.said.append(str(error).removeprefix("where people are is not known: "))
+        else:
+            assert message.width, "an empty occupancy"
+            self.said.append("")
 
-    node.publisher.publish = publish
-    node.on_posture(posture(1 * NS))
+    def see(
+        self, now_s: float, stamp_s: float | None = None, q: np.ndarray | None = None, **changes: Any
+    ) -> str | None:
+        """Show a posture at a time, of a person at rest if not told; return what is said of it, None for nothing."""
+        q = POSTURE + 1e-4 * self.rng.standard_normal(len(POSTURE)) if q is None else q
+        self.now_s = now_s
+        self.node.get_clock().set_ros_time_override(Time(nanoseconds=round((1000.0 + now_s) * NS)))
+        message = posture(round((1000.0 + (now_s if stamp_s is None else stamp_s)) * NS), q)
+        for name, value in changes.items():
+            setattr(message.header if name == "frame_id" else message, name, value)
+        before = len(self.said)
+        self.node.on_posture(message)
+        return self.said[-1] if len(self.said) > before else None
+
+    def stream(self, begin_s: float, end_s: float, ahead_s: float = 0.0, **changes: Any) -> list[str | None]:
+        """Show a person at rest 30 times a second; return what is said of each posture."""
+        return [self.see(t, t + ahead_s, **changes) for t in np.arange(begin_s, end_s, 1 / 30).tolist()]
+
+
+def kind(said: str | None) -> str | None:
+    return None if said is None else said.split(":")[0]
+
+
+def test_the_predictor_refuses_postures_by_name_and_goes_on(ros: Callable[..., Any]) -> None:
+    predictor = PredictorWithClock(ros)
+    millimetres, spoiled = POSTURE.copy(), POSTURE.copy()
+    millimetres[:3] *= 1000.0
+    spoiled[3] = np.nan
+    faults: dict[str, dict[str, Any]] = {
+        "not finite": {"position": spoiled.tolist()},
+        "missing joints": {"name": list(HUMAN.dof_names[:-1])},
+        "joint twice": {"name": [*HUMAN.dof_names[:-1], HUMAN.dof_names[0]]},
+        "units": {"position": millimetres.tolist()},
+        "wrong frame": {"frame_id": "camera"},
+        "stamp zero": {},
+    }
+    t = 0.0
+    for again in range(2):  # each is found again after it has gone
+        for fault, changes in faults.items():
+            assert set(predictor.stream(t, t + 0.8)[-10:]) == {""}
+            stamp_s = -1000.0 if fault == "stamp zero" else None
+            assert kind(predictor.see(t + 0.81, stamp_s, **changes)) == fault
+            t += 0.85
+        assert {name: predictor.node.refused[name] > again for name in faults} == dict.fromkeys(faults, True)
+    assert set(predictor.stream(t, t + 1.0)[-10:]) == {""}
+
+
+def test_a_bad_posture_in_two_is_never_believed(ros: Callable[..., Any]) -> None:
+    predictor = PredictorWithClock(ros)
     spoiled = POSTURE.copy()
     spoiled[3] = np.nan
-    node.on_posture(posture(1 * NS + 1, spoiled))
-    node.on_posture(posture(1 * NS + 2, POSTURE[:-1], HUMAN.dof_names[:-1]))
-    node.on_posture(posture(1 * NS - 5))
-    node.on_posture(posture(1 * NS))
-    node.on_posture(posture(1 * NS + 3))
-    assert published == [1 * NS, 1 * NS + 3]
-    assert dict(node.refused) == {"not finite": 1, "missing joints": 1, "stamp not increasing": 2}
-    assert [text.split(":")[1].strip() for text in unknown] == ["not finite", "missing joints"]
-    node.on_posture(posture(3 * NS))  # a silence longer than the restart gap: a new motion
-    node.on_posture(posture(1 * NS))  # a jump back by more than that: the recording was started again
-    assert published[2:] == [3 * NS, 1 * NS]
-    millimetres = POSTURE.copy()
-    millimetres[:3] *= 1000.0
-    node.on_posture(posture(1 * NS + 9, millimetres))
-    assert "in millimetres, perhaps" in unknown[-1]
-    assert node.refused["units"] == 1
+    said = [predictor.see(k / 30, None, spoiled if k % 2 else POSTURE + 1e-3 * k) for k in range(60)]
+    assert said[0] == ""
+    assert {kind(one) for one in said[1:]} == {"not finite"}
+
+
+def test_a_frame_must_be_the_expected_one_and_be_named(ros: Callable[..., Any]) -> None:
+    predictor = PredictorWithClock(ros, human_frame="camera_link")
+    assert set(predictor.stream(0.0, 0.5, frame_id="/camera_link")) == {""}
+    said = predictor.see(0.6, frame_id="kinect")
+    assert said is not None
+    assert "wanted 'camera_link', got 'kinect'" in said
+    assert kind(predictor.see(0.7, frame_id="")) == "wrong frame"
+    assert predictor.node.holding_because().startswith("wrong frame")
+    assert set(predictor.stream(0.8, 1.5, frame_id="camera_link")[-5:]) == {""}
+    assert predictor.node.holding_because() == ""
+
+
+def test_where_tf_is_postures_of_other_frames_are_where_it_says(ros: Callable[..., Any]) -> None:
+    predictor = PredictorWithClock(ros)
+    clouds: list[Any] = []
+    take = predictor._take
+    predictor.node.publisher.publish = lambda message: (clouds.append(message), take(message))
+    assert predictor.see(0.0) == ""
+    # The same person, seen by a camera that stands elsewhere.
+    T_world_camera = SCENE.T_world_human @ turn_and_shift(0.7, (0.5, -0.3, 0.2))
+    poses = {"camera": T_world_camera, "tilted": T_world_camera @ pose_matrix((0, 0, 0), (1.0, 0, 0, 0))}
+
+    def lookup(frame: str) -> Any:
+        if frame not in poses:
+            raise LookupError("no such frame")
+        return poses[frame]
+
+    predictor.node.frames.lookup = lookup
+    seen = placed_postures(POSTURE, HUMAN.dof_names, np.linalg.inv(turn_and_shift(0.7, (0.5, -0.3, 0.2))))
+    assert predictor.see(0.1, q=seen, frame_id="camera") == ""
+    first, second = (conversions.occupancy_from_cloud(cloud, SCENE.grid, 0.0).probability for cloud in clouds)
+    assert (first != second).sum() < 0.01 * first.sum()  # rounding puts a few points into the next voxel
+    said = [predictor.see(0.2 + k / 10, frame_id=frame) for k, frame in enumerate(("tilted", "map", ""))]
+    assert [kind(one) for one in said] == ["wrong frame"] * 3
+    assert ("z up" in str(said[0]), "no such frame" in str(said[1])) == (True, True)
+    poses["kinect"] = T_world_camera  # somebody moved it: TF knows, the scene does not
+    assert set(predictor.stream(1.0, 2.0)[-5:]) == {""}
+    assert "0.6" in predictor.node.warnings["tracker frame"]
+
+
+def test_a_posture_that_was_overtaken_is_no_hold_and_a_clock_that_goes_back_is(ros: Callable[..., Any]) -> None:
+    predictor = PredictorWithClock(ros)
+    assert set(predictor.stream(0.0, 0.5)) == {""}
+    assert predictor.see(0.51, 0.3) is None
+    assert predictor.see(0.52, 0.51) == ""
+    said = predictor.stream(0.6, 1.5, ahead_s=-0.9)  # a tracker whose clock was set back
+    assert said[0] is None
+    assert {kind(one) for one in said[6:20]} == {"stamp back"}
+    said = predictor.stream(1.5, 2.5, ahead_s=-0.9)
+    assert said[-1] == "", "taken up again; whoever plans says that it is old"
+    assert "0.9 s behind" in predictor.node.warnings["tracker clock"]
+    assert set(predictor.stream(4.0, 4.6)[-5:]) == {""}
+    assert [kind(predictor.see(4.7 + k / 30, 4.6)) for k in range(12)][-3:] == ["stamp equal"] * 3
+
+
+def test_a_clock_ahead_is_named_with_its_size_and_moves_nothing(ros: Callable[..., Any]) -> None:
+    predictor = PredictorWithClock(ros)
+    for begin in (0.0, 2.0):
+        assert set(predictor.stream(begin, begin + 0.5)) == {""}
+        assert str(predictor.see(begin + 0.51, 3600.0)).startswith("stamp ahead: a posture's stamp is 3.6e+03 s")
+        assert predictor.see(begin + 0.52) == ""
+        said = predictor.stream(begin + 0.6, begin + 1.0, ahead_s=3.0)
+        assert set(said[3:]) == {"stamp ahead: the tracker's clock is 3 s ahead"}
+        assert predictor.see(begin + 1.01) == ""
+
+
+def test_a_clock_that_is_set_back_is_a_hold_and_then_a_new_beginning(ros: Callable[..., Any]) -> None:
+    predictor = PredictorWithClock(ros)
+    for _ in range(2):
+        assert set(predictor.stream(5.0, 5.5)[1:]) == {""}
+        said = predictor.stream(2.0, 2.5)
+        assert kind(said[0]) == "clock set back"
+        assert set(said[1:]) == {""}
+        predictor.now_s = 2.6
 
 
 def cloud(t_ns: int, grid: VoxelGrid = SCENE.grid) -> Any:
