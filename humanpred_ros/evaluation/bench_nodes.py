@@ -60,6 +60,19 @@ def write_scene(path: Path, n_goals: int) -> Path:
     return _write_changed(path, name=f"{SCENE}_{n_goals}_goals", goals=goals)
 
 
+def write_scene_of(path: Path, goals: Sequence[str]) -> Path:
+    """Write the scene with some of its goals only, by their names.
+
+    Raises:
+        UsageError: a name that it does not have.
+    """
+    content = yaml.safe_load(share_file("config", "scenes", f"{SCENE}.yaml").read_text(encoding="utf-8"))
+    named = {goal["name"]: goal for goal in content["goals"]}
+    if not set(goals) <= set(named):
+        raise UsageError(f"scene {SCENE}: wanted some of the goals {', '.join(named)}, got {', '.join(goals)}")
+    return _write_changed(path, name=f"{SCENE}_{len(goals)}_places", goals=[named[name] for name in goals])
+
+
 def write_scene_for(path: Path, library: MotionLibrary) -> Path:
     """Write the scene with the tracker's frame so placed that a library's people stand where the scene's person does.
 

@@ -82,13 +82,21 @@ class NodeGroup:
     domain_id: int  #: ROS_DOMAIN_ID of the group
     nodes: list[NodeProcess] = field(default_factory=list)
 
-    def start(self, node: str, parameters: Mapping[str, ParameterValue]) -> NodeProcess:
-        """Start `python -m humanpred_ros.nodes.<node>` with ROS parameters."""
+    def start(
+        self, node: str, parameters: Mapping[str, ParameterValue], remap: Mapping[str, str] | None = None
+    ) -> NodeProcess:
+        """Start `python -m humanpred_ros.nodes.<node>` with ROS parameters and other names for its topics.
+
+        A node started again gets a log of its own, `<node>_2.log` and so on.
+        """
         command = [sys.executable, "-m", f"humanpred_ros.nodes.{node}", "--ros-args"]
         for name, value in parameters.items():
             command += ["-p", f"{name}:={_yaml(value)}"]
+        for name, other in (remap or {}).items():
+            command += ["-r", f"{name}:={other}"]
         self.log_directory.mkdir(parents=True, exist_ok=True)
-        log = self.log_directory / f"{node}.log"
+        before = sum(entry.name == node for entry in self.nodes)
+        log = self.log_directory / (f"{node}_{before + 1}.log" if before else f"{node}.log")
         environment = {
             **os.environ,
             "ROS_DOMAIN_ID": str(self.domain_id),

@@ -1,0 +1,261 @@
+"""Does the graph fail closed? Every fault is put into the running graph while the arm moves, twice.
+
+The nodes are processes of their own that talk over DDS on this machine, in real time. A person reaches to two places in
+turn, so that the arm is on its way from one to the other. A row fails if the planner does not hold with the reason that
+is expected, if the arm does not rest in time, if a trajectory begins farther from the arm than the tolerance, or if the
+arm does not work again afterwards. What only a guard outside the planner can catch is measured and called open.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+
+from humanpred_ros.errors import UsageError
+from humanpred_ros.evaluation.fault_trials import CALM_S, HOLDS, OPEN, Bounds, Trial, judged
+from humanpred_ros.evaluation.faults import CLOCK, DIRECT, FAULTS, RELAYED, SHORT, Fault
+from humanpred_ros.evaluation.framework import Begin, Column, OutputSettings, Report, Table, chosen_names, present
+from humanpred_ros.evaluation.outputs import check_writable
+from humanpred_ros.evaluation.timing import MachineLoad
+from humanpred_ros.resources import replacing
+from humanpred_ros.settings import setting
+
+if TYPE_CHECKING:
+    from humanpred_ros.nodes.fault_graph import FaultGraph
+
+#: A hold follows when human data or joint states are so old (defaults of the nodes), s.
+MAX_AGE_S = 0.5
+#: The fastest joint of the arm, rad/s, and the acceleration it brakes with, rad/s².
+_FASTEST, _BRAKING = 0.36, 4.0
+#: The arm's stopping time: it levels off, then takes 1.5 times what the acceleration limit allows; and the periods of
+#: watchdog and joint states, s.
+STOPPING_S = 0.05 + 1.5 * _FASTEST / _BRAKING + 0.03
+#: A trajectory may begin so far from a moving arm: its tolerance and what it moves in the lag allowed, rad.
+GAP_RAD = 0.05 + 0.15 * _FASTEST
+#: A recorder that is killed loses at most so much, s.
+_LOST_S = 1.0
+#: A fault is put in while the arm is going to move for so long yet, s; how long that is waited for.
+_UNDER_WAY_S, _MOVING_LIMIT_S = 1.5, 60.0
+_TRIALS = 2
+
+
+class FaultBenchSettings(OutputSettings):
+    """Settings of `humanpred bench faults`."""
+
+    page: Path = setting(Path("docs/faults.md"), "page to write when every fault is tried")
+    only: tuple[str, ...] = setting(("all",), "names of faults")
+    short: bool = setting(False, "only a handful of faults, in less than a minute")
+    keep: Path | None = setting(None, "new folder to keep logs and bags in")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A fault and what it led to, each time."""
+
+    fault: Fault
+    trials: tuple[Trial, ...]
+
+    @property
+    def verdict(self) -> str:
+        """`passed`, `failed`, or `open`."""
+        if any(trial.problems for trial in self.trials):
+            return "failed"
+        return "open" if self.fault.outcome == OPEN else "passed"
+
+    @property
+    def observed(self) -> str:
+        """What happened, for people."""
+        problems = [
+            f"{trial.problems[0]}" + ("" if len(self.trials) == 1 else f" ({'first' if k == 0 else 'second'} time)")
+            for k, trial in enumerate(self.trials)
+            if trial.problems
+        ]
+        if problems:
+            return "; ".join(problems)
+        if self.fault.outcome == OPEN:
+            return "nothing stops the arm; it goes on to the end of its trajectory"
+        if self.fault.outcome == HOLDS:
+            return "hold"
+        return "the arm works on"
+
+    @property
+    def reason(self) -> str:
+        """The reason that was given first."""
+        return next((trial.reason for trial in self.trials if trial.reason), "")
+
+    @property
+    def again(self) -> str:
+        """Whether the same fault was caught once more."""
+        if self.fault.outcome == OPEN or len(self.trials) < 2:
+            return "–"
+        return "no" if self.trials[1].problems else "yes"
+
+    def figures(self, name: str, spec: str = ".2f") -> str:
+        """Return a figure of each trial, with commas between."""
+        values = [getattr(trial, name) for trial in self.trials]
+        return ", ".join("–" if value is None else f"{value:{spec}}" for value in values)
+
+
+def run(settings: FaultBenchSettings, console: Console) -> int:
+    """Carry out `humanpred bench faults`; status 1 if the graph did not do what it must."""
+    rows: list[Row] = []
+
+    def measure(chosen: FaultBenchSettings, begin: Begin) -> Report:
+        return _measured(chosen, begin, rows)
+
+    present(settings, console, measure)
+    return int(any(row.verdict == "failed" for row in rows))
+
+
+def _measured(settings: FaultBenchSettings, begin: Begin, rows: list[Row]) -> Report:
+    """Try the faults, add a row for each, and return what was found.
+
+    Raises:
+        UsageError: an unknown fault, no ROS, a file that cannot be written, or nodes that do not get ready.
+    """
+    names = chosen_names(SHORT if settings.short else settings.only, [fault.name for fault in FAULTS], "--only")
+    whole = len(names) == len(FAULTS)
+    if whole:
+        check_writable(settings.page, ".md")
+    if settings.keep is not None and settings.keep.exists():
+        raise UsageError(f"--keep: wanted a folder that does not exist yet, {settings.keep} does; choose another")
+    load = MachineLoad()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = (settings.keep or Path(temporary)).resolve()
+        folder.mkdir(parents=True, exist_ok=True)
+        chosen = [fault for fault in FAULTS if fault.name in names]
+        if settings.short:  # one graph takes less time to start than two
+            chosen = [replace(fault, graph=RELAYED) for fault in chosen]
+        travelled_rad = _try_all(chosen, folder, begin, rows)
+    notes = (f"The arm's joints moved {travelled_rad:.1f} rad meanwhile.", *load.notes())
+    if whole:
+        with replacing(settings.page) as path:
+            path.write_text(page(rows, notes), encoding="utf-8")
+    return Report(
+        f"{len(rows)} faults, each {_TRIALS} times: {_count(rows)}",
+        (Table("", rows, _COLUMNS),),
+        {
+            "bound_s": MAX_AGE_S + STOPPING_S, "gap_rad": GAP_RAD, "travelled_rad": travelled_rad,
+            "other_cores": load.other_cores(),
+            "faults": [
+                {"fault": row.fault.name, "expected": row.fault.expected, "observed": row.observed,
+                 "verdict": row.verdict, "trials": row.trials}
+                for row in rows
+            ],
+        },
+        notes,
+    )  # fmt: skip
+
+
+def _try_all(faults: Sequence[Fault], folder: Path, begin: Begin, rows: list[Row]) -> float:
+    """Try every fault, the graphs one after the other; return how far the arm moved, rad."""
+    try:
+        from humanpred_ros.nodes.fault_graph import FaultGraph, Inputs
+    except ImportError as error:
+        raise UsageError(f"bench faults: wanted ROS 2, got none ({error}); install the `ros` extra") from error
+    advance = begin("faults", len(faults))
+    inputs = Inputs(folder)
+    travelled_rad, starts = 0.0, 0
+    for kind in (DIRECT, RELAYED, CLOCK):
+        left = [fault for fault in faults if fault.graph == kind]
+        while left:
+            starts, intact = starts + 1, True
+            with FaultGraph(kind, inputs, folder / f"{starts}_{kind}") as graph:
+                graph.wait_until_working()
+                while left and intact:  # a graph that did not recover would spoil what comes next
+                    fault = left.pop(0)
+                    rows.append(Row(fault, tuple(_trials(fault, graph))))
+                    intact = rows[-1].trials[-1].recovered_s is not None
+                    advance(len(rows))
+                travelled_rad += graph.wire.heard.travelled_rad
+    return travelled_rad
+
+
+def _trials(fault: Fault, graph: FaultGraph) -> Iterator[Trial]:
+    for _ in range(_TRIALS):
+        trial = _trial(fault, graph)
+        yield trial
+        if trial.recovered_s is None:
+            return
+
+
+def _trial(fault: Fault, graph: FaultGraph) -> Trial:
+    """Put a fault in while the arm moves, take it away, and wait until the arm works again."""
+    wire, heard = graph.wire, graph.wire.heard
+    wire.wait(lambda: False, CALM_S)  # what the last fault left behind shows by then
+    if not wire.wait(lambda: heard.under_way(time.monotonic(), _UNDER_WAY_S), _MOVING_LIMIT_S):
+        return Trial.not_begun(f"the arm was not on its way within {_MOVING_LIMIT_S:.0f} s")
+    bounds = Bounds(
+        fault.outcome, fault.reasons, MAX_AGE_S + STOPPING_S if fault.rests else None, fault.data_age_s, GAP_RAD
+    )
+    heard.forget()
+    began_s = time.monotonic()
+    try:
+        fault.begin(graph)
+        wire.wait(lambda: time.monotonic() >= began_s + fault.lasts_s, fault.lasts_s)
+        wire.wait(lambda: heard.happened(bounds, began_s, time.monotonic()), fault.patience_s)
+        ended_s = time.monotonic()
+        fault.end(graph)
+    except UsageError as error:
+        return Trial.not_begun(str(error))
+    recovered = wire.wait(
+        lambda: heard.working_since(ended_s) and heard.spoken_since(ended_s, fault.joins), fault.recovery_s
+    )
+    trial = judged(heard, bounds, began_s, ended_s, time.monotonic() if recovered else None)
+    lost_s = graph.lost_s()
+    if lost_s is None:
+        return trial
+    said = f"the bag lacks the last {lost_s:.2f} s"
+    problems = [*trial.problems, *([f"{said}, at most {_LOST_S:g} s are allowed"] if lost_s > _LOST_S else [])]
+    return replace(trial, reason=trial.reason or said, problems=tuple(problems))
+
+
+def _count(rows: Sequence[Row]) -> str:
+    verdicts = Counter(row.verdict for row in rows)
+    return ", ".join(f"{verdicts[verdict]} {verdict}" for verdict in ("passed", "failed", "open"))
+
+
+_COLUMNS = (
+    Column("fault", lambda row: row.fault.name),
+    Column("expected", lambda row: row.fault.expected),
+    Column("observed", lambda row: row.observed),
+    Column("time to hold", lambda row: row.figures("hold_s"), unit="s"),
+    Column("time to rest", lambda row: row.figures("rest_s"), unit="s"),
+    Column("reason given", lambda row: row.reason),
+    Column("recovered", lambda row: row.figures("recovered_s", ".1f"), unit="s"),
+    Column("caught again", lambda row: row.again),
+)
+
+
+def page(rows: Sequence[Row], notes: Sequence[str]) -> str:
+    """Return the table as a Markdown page."""
+    lines = [
+        "# Faults",
+        "",
+        "Made by `humanpred bench faults`, which puts every fault into the running graph (processes that talk over "
+        "DDS, real time) while the arm moves, twice. Not safety-rated.",
+        "",
+        f"{_count(rows)}. Asked for: the reason that is expected; rest within {MAX_AGE_S + STOPPING_S:.2f} s, which is "
+        f"{MAX_AGE_S:g} s without usable data and the arm's stopping time at the speed used; no trajectory that begins "
+        f"farther than {GAP_RAD:.2f} rad from the arm; work again after the fault. Times are those of the first and "
+        "the second time. Recovery includes the start of a node where one is started. Open: only a guard outside the "
+        "planner can stop the arm then; there is none yet.",
+        "",
+        *notes,
+        "",
+        "| " + " | ".join(column.head for column in _COLUMNS) + " |",
+        "|" + "---|" * len(_COLUMNS),
+        *("| " + " | ".join(_cell(column.text(row)) for column in _COLUMNS) + " |" for row in rows),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")
