@@ -11,7 +11,7 @@ from rich.table import Table
 
 from humanpred_ros.plugins import SET, given_settings
 from humanpred_ros.resources import locate
-from humanpred_ros.settings import Settings, setting
+from humanpred_ros.settings import LARGEST_SEED, Settings, setting
 
 if TYPE_CHECKING:
     from humanpred_ros.bags.salvage import BagReport
@@ -29,8 +29,8 @@ class TrainSettings(Settings):
     classifier: tuple[str, ...] = setting(("forest", "gmm"), "classifiers to train, by name; own ones, too")
     hold_out: int = setting(0, "first motions of each class not trained on", low=0)
     set: tuple[str, ...] = setting((), SET)
-    seed: int = setting(0, "of training", low=0)
-    frame_period: float = setting(_FRAME_PERIOD_S, "time between frames where a CSV has no times", unit="s")
+    seed: int = setting(0, "of training", low=0, high=LARGEST_SEED)
+    frame_period: float = setting(_FRAME_PERIOD_S, "time between frames where a CSV has no times", unit="s", low=1e-6)
 
 
 def train(settings: TrainSettings, console: Console) -> int:

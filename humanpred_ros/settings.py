@@ -17,6 +17,9 @@ from humanpred_ros.errors import SettingsError
 
 T = TypeVar("T", bound="Settings")
 
+#: What every generator of random numbers takes, and every parameter holds.
+LARGEST_SEED = 2**31 - 1
+
 
 def setting(
     default: Any,

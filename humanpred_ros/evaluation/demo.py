@@ -33,7 +33,7 @@ from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR, SET, Given, given_settings, parameters_of
 from humanpred_ros.resources import locate, replacing
 from humanpred_ros.robot.scene_file import RECORDED_SCENE, read_scene_file, scene_names
-from humanpred_ros.settings import Settings, setting, setting_of
+from humanpred_ros.settings import LARGEST_SEED, Settings, setting, setting_of
 
 if TYPE_CHECKING:
     from humanpred_ros.viewing.analysis import RunSummary
@@ -59,16 +59,18 @@ class DemoSettings(Settings):
     onsets: bool = setting(True, "find where the motion begins and ends; else the first posture begins it, as in P1")
     cost_terms: tuple[str, ...] = setting_of(ReplannerConfig, "cost_terms")
     set: tuple[str, ...] = setting((), SET)
-    seed: int = setting(0, "of the planner and of training", low=0)
+    seed: int = setting(0, "of the planner and of training", low=0, high=LARGEST_SEED)
     steps: int = setting(20, "replanning steps in the human motion", low=1)
     threshold: float = setting(0.001, "voxels at or below this probability are not published", low=0.0, high=1.0)
     hold_last_s: float = setting(
-        6.0, "the last posture is repeated this long, for the arm to finish", unit="s", low=0.0
+        6.0, "the last posture is repeated this long, for the arm to finish", unit="s", low=0.0, high=600.0
     )
     markers: bool = setting(False, "record markers too, for viewers; costs the nodes time")
     real_time: float | None = setting(
         None,
         "do not wait for the planner after every posture: play at this many times the recorded speed (1)",
+        low=0.1,
+        high=20.0,
         bare=1.0,
     )
     out: str | None = setting(None, "folder of the run; none: a new one below runs/")
@@ -99,6 +101,7 @@ def run_demo(settings: DemoSettings, console: Console) -> RunSummary:
     read_scene_file(settings.scene)
     library = load_library(locate(settings.library, "bags"), points=False)
     motion = library.find(settings.trajectory)
+    ReplannerConfig(period_s=period_of(motion, settings.steps))  # said before a node is started
     folder = _new_folder(settings, motion)
     with NodeGroup(folder / "logs", free_domain_id()) as group:
         with _removed_on_failure(folder, group):
@@ -193,7 +196,7 @@ def _start(
 
     scene = load_scene(settings.scene)
     console.print(
-        f"[bold]{scene.name}[/bold]: motion {motion.name} of {library.name}, {motion.duration_s:.2f} s; "
+        f"{scene.name}: motion {motion.name} of {library.name}, {motion.duration_s:.2f} s; "
         f"goals {', '.join(goal.name for goal in scene.goals)}; run folder {folder}"
     )
 

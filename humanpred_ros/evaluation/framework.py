@@ -48,7 +48,7 @@ from humanpred_ros.evaluation.outputs import check_writable, machine_facts, writ
 from humanpred_ros.motion.library_io import DEFAULT_FRAME_PERIOD_S, load_library
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.resources import locate
-from humanpred_ros.settings import Settings, setting
+from humanpred_ros.settings import LARGEST_SEED, Settings, setting
 
 #: Is called with the number of parts of the work that are done.
 Advance: TypeAlias = Callable[[int], None]
@@ -94,7 +94,7 @@ class EvaluationSettings(OutputSettings):
     scheduler: str | None = setting(
         None, "address of a Dask scheduler whose workers do the work instead, as in tcp://host:8786"
     )
-    seed: int = setting(0, "seed of all that is drawn at random", low=0)
+    seed: int = setting(0, "seed of all that is drawn at random", low=0, high=LARGEST_SEED)
 
 
 class LibrarySettings(EvaluationSettings):

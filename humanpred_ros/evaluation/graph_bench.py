@@ -58,7 +58,7 @@ class GraphBenchSettings(OutputSettings):
     rollouts: int = setting_of(StompConfig, "rollouts", description="rollouts per iteration", low=2)
     threads: int = setting_of(ReplannerConfig, "threads")
     period: float = setting_of(ReplannerConfig, "period_s", default=0.1)
-    seconds: float = setting(4.0, "length of the postures in every run", unit="s")
+    seconds: float = setting(4.0, "length of the postures in every run", unit="s", low=0.1, high=600.0)
     runs: int = setting(4, "runs with each number of goals", low=1)
     predictor: str = setting(DEFAULT_PREDICTOR, "predictor of the occupancy")
     keep: Path | None = setting(None, "new folder to keep bags and logs in")

@@ -23,7 +23,7 @@ from humanpred_ros.motion.marker_import import MarkerReader, class_of, read_name
 from humanpred_ros.motion.motion import Motion, MotionLibrary, require_plain_name
 from humanpred_ros.motion.reach_recordings import ACTIVE, PASSIVE, read_reach_recording, write_reach_recording
 from humanpred_ros.motion.synthetic import ReachGeneratorConfig, generate_library
-from humanpred_ros.settings import Settings, setting, setting_of
+from humanpred_ros.settings import LARGEST_SEED, Settings, setting, setting_of
 
 
 class ImportSettings(Settings):
@@ -192,7 +192,7 @@ class GenerateSettings(Settings):
 
     out: Path = setting(..., "bag to write")
     motions: int = setting_of(ReachGeneratorConfig, "motions_per_class", description="motions per class")
-    seed: int = setting(0, "of all random draws", low=0)
+    seed: int = setting(0, "of all random draws", low=0, high=LARGEST_SEED)
     compare: str | None = setting(None, "library whose statistics are printed beside the new one's")
     overwrite: bool = setting(False, "replace a bag that exists")
 

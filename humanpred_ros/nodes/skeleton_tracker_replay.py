@@ -26,6 +26,8 @@ from humanpred_ros.settings import Settings, setting
 #: Where simulated time starts: ROS reads time 0 as "no clock yet".
 SIMULATED_ORIGIN_NS = conversions.NS_PER_S
 _CLOCK_PERIOD_NS = 5_000_000
+#: Slewing does not bring a clock so far from the steady one while a motion lasts.
+_CLOCK_STEP_NS = 50_000_000
 _MARKER_PERIOD_NS = 100_000_000
 
 
@@ -38,7 +40,13 @@ class SkeletonTrackerReplaySettings(Settings):
     mode: Literal["real_time", "stepped"] = setting(
         "real_time", "real_time, or stepped: wait for the planner's decision after every posture"
     )
-    rate: float = setting(1.0, "playback speed in real_time mode", low=0.05, high=20.0)
+    rate: float = setting(
+        1.0,
+        "playback speed in real_time mode; so slow that postures are farther apart than the planner's max_human_age_s, "
+        "it holds between them",
+        low=0.1,
+        high=20.0,
+    )
     hold_last_s: float = setting(
         4.0, "time for which the last posture is repeated after the motion's end", unit="s", low=0.0, high=600.0
     )
@@ -72,6 +80,7 @@ class SkeletonTrackerReplay(SteppedSource):
         self.last_clock_ns = self.last_marker_ns = -_MARKER_PERIOD_NS
 
         body = settings.body_id
+        self.hardware_id = topics.human_joint_states(body).rpartition("/")[0]
         self.posture_publisher = self.create_publisher(
             JointState, topics.human_joint_states(body), qos.SENSOR_PUBLISHER
         )
@@ -111,6 +120,8 @@ class SkeletonTrackerReplay(SteppedSource):
 
     def publish_due(self) -> None:
         elapsed_ns = int((time.monotonic() - self.begun_s) * 1e9 * self.settings.rate)
+        if not self.simulated_time:
+            self._follow_clock(elapsed_ns)
         if self.simulated_time and elapsed_ns - self.last_clock_ns >= _CLOCK_PERIOD_NS:
             self.last_clock_ns = elapsed_ns
             self.publish_clock(self.origin_ns + elapsed_ns)
@@ -122,6 +133,13 @@ class SkeletonTrackerReplay(SteppedSource):
             self.publish_next()
         if self.next_frame == len(self.offsets_ns):
             self.finish("the recording has ended")
+
+    def _follow_clock(self, elapsed_ns: int) -> None:
+        """Stamp with the node's time also after that was set, or the machine was asleep."""
+        off_ns = self.get_clock().now().nanoseconds - self.origin_ns - elapsed_ns
+        if abs(off_ns) > _CLOCK_STEP_NS:
+            self.origin_ns += off_ns
+            self.get_logger().warning(f"the clock was set by {off_ns * 1e-9:.3f} s: so are the stamps from now on")
 
     def publish_next(self) -> None:
         """Publish the next posture, or finish after the last."""

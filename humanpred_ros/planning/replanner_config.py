@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 from humanpred_ros.errors import SettingsError
-from humanpred_ros.settings import Settings, setting
+from humanpred_ros.settings import LARGEST_SEED, Settings, setting
 from humanpred_ros.stomp.config import StompConfig
 
 __all__ = ["ReplannerConfig"]
@@ -24,7 +24,7 @@ class ReplannerConfig(Settings):
 
     period_s: float = setting(0.1, "length of a replanning step", unit="s", low=0.02, high=10.0)
     threads: int = setting(2, "goals planned at the same time; never changes a decision", low=1, high=64)
-    seed: int = setting(0, "seed of every random draw", low=0, high=2**31 - 1)
+    seed: int = setting(0, "seed of every random draw", low=0, high=LARGEST_SEED)
     selection: Literal["human_and_length", "total"] = setting(
         "human_and_length", "what goals are compared by: human_and_length, or total of all cost terms"
     )

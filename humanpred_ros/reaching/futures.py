@@ -21,7 +21,7 @@ from humanpred_ros.reaching.end_postures import EndPosture, standing
 from humanpred_ros.reaching.planner import LEAST_NOISE, ReachPlanner, ReachPlannerSettings, unit_deviation
 from humanpred_ros.reaching.reach_model import ReachModel, ReachProgress, ReachShape
 from humanpred_ros.reaching.surroundings import Surroundings
-from humanpred_ros.settings import Settings, setting
+from humanpred_ros.settings import LARGEST_SEED, Settings, setting
 from humanpred_ros.stomp.config import StompConfig
 
 #: The noise of a DoF in STOMP is at most this.
@@ -46,7 +46,7 @@ class ReachFuturesSettings(Settings):
         "Settings of STOMP; the noise is not taken from here, but from what people vary",
     )
     obstacle_weight: float = setting(40.0, "Weight of the obstacles, as in `improved_planner`", low=0.0)
-    seed: int = setting(0, "Seed of the draws", low=0)
+    seed: int = setting(0, "Seed of the draws", low=0, high=LARGEST_SEED)
 
     def check(self) -> None:
         if self.n_samples % 2:

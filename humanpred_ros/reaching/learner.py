@@ -19,7 +19,7 @@ from humanpred_ros.reaching.features import FEATURE_NAMES, N_FEATURES, N_WAYPOIN
 from humanpred_ros.reaching.piirl import Contrast, PiirlSettings, PiirlSolution, contrasts, learn_weights
 from humanpred_ros.reaching.surroundings import Surroundings
 from humanpred_ros.reaching.weights import ReachWeights
-from humanpred_ros.settings import Settings, setting
+from humanpred_ros.settings import LARGEST_SEED, Settings, setting
 
 _log = logging.getLogger(__name__)
 
@@ -34,7 +34,7 @@ class LearningSettings(Settings):
     piirl: PiirlSettings = setting(PiirlSettings(), "Loss, bounds, penalties")
     keep_unfit: bool = setting(False, "Also learn from recordings with jumps, as P2 did")
     bootstrap: int = setting(20, "Times that weights are learned again, from recordings drawn with replacement", low=0)
-    seed: int = setting(0, "Seed of samples and bootstrap", low=0)
+    seed: int = setting(0, "Seed of samples and bootstrap", low=0, high=LARGEST_SEED)
 
 
 class ReachLearner:

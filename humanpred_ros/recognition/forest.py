@@ -22,7 +22,7 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, unwrap_angles
 from humanpred_ros.recognition.reach_features import N_FEATURES, Float32Array, motion_features, point_links
 from humanpred_ros.recognition.standing_place import start_pose
-from humanpred_ros.settings import Settings, setting
+from humanpred_ros.settings import LARGEST_SEED, Settings, setting
 
 IntArray = NDArray[np.int32]
 #: The link whose pose says where a person stands.
@@ -49,7 +49,7 @@ class ForestSettings(Settings):
         low=0.0,
         high=1.0,
     )
-    seed: int = setting(0, "seed of the motions and splits drawn", low=0)
+    seed: int = setting(0, "seed of the motions and splits drawn", low=0, high=LARGEST_SEED)
 
     def check(self) -> None:
         for name in ("motion_share", "unknown_prior"):

@@ -16,7 +16,7 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary, is_angle, unwrap_angles
 from humanpred_ros.recognition.classifier import Classifier, ClassPosterior, check_trainable
 from humanpred_ros.recognition.mixture import GaussianMixtures, fit_mixture, regress
-from humanpred_ros.settings import Settings, setting
+from humanpred_ros.settings import LARGEST_SEED, Settings, setting
 
 _TURN = 2 * np.pi
 
@@ -37,7 +37,9 @@ class GmmSettings(Settings):
     n_phase_frames: int = setting(
         100, "postures a motion is resampled to; phases run from 0 to one less", low=2, high=100_000
     )
-    seed: int = setting(0, "seed of the samples that k-means starts from; each class has its own stream", low=0)
+    seed: int = setting(
+        0, "seed of the samples that k-means starts from; each class has its own stream", low=0, high=LARGEST_SEED
+    )
     max_iterations: int = setting(200, "EM stops after so many iterations at the latest", low=1)
     tolerance: float = setting(1e-4, "EM stops when the mean log density of a sample changes by less", low=0.0)
     evidence: Literal["sum", "mean"] = setting(

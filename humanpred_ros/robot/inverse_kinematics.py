@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from humanpred_ros.errors import SceneError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.robot.pr2 import Pr2Arm
-from humanpred_ros.settings import Settings, setting
+from humanpred_ros.settings import LARGEST_SEED, Settings, setting
 
 _RIGID = 1e-6
 
@@ -132,7 +132,9 @@ class InverseKinematicsSettings(Settings):
 
     n_seeds: int = setting(128, "Configurations to begin from; the first is the start", low=1)
     n_iterations: int = setting(60, "Iterations of every seed at most", low=1)
-    seed: int = setting(0, "Offset of the low-discrepancy sequence that the seeds are taken from")
+    seed: int = setting(
+        0, "Offset of the low-discrepancy sequence that the seeds are taken from", low=0, high=LARGEST_SEED
+    )
     limit_margin_rad: float = setting(
         0.02,
         "Distance of solutions from the joint limits: on a limit, single precision may be beyond",

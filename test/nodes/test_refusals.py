@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.frames import pose_matrix
 from humanpred_ros.nodes.occupancy_predictor import OccupancyPredictorNode
 from humanpred_ros.nodes.run_recorder import RunRecorder
+from humanpred_ros.nodes.skeleton_tracker_replay import SkeletonTrackerReplay
 from humanpred_ros.nodes.stomp_planner import StompPlannerNode
 
 SCENE = load_scene("face_to_face")
@@ -220,6 +222,21 @@ def test_a_clock_that_is_set_back_is_a_hold_and_then_a_new_beginning(ros: Callab
         assert kind(said[0]) == "clock set back"
         assert set(said[1:]) == {""}
         predictor.now_s = 2.6
+
+
+def test_a_replay_stamps_with_the_time_there_is_after_the_clock_was_set(ros: Callable[..., Any]) -> None:
+    node = ros(SkeletonTrackerReplay, {})
+    stamps: list[int] = []
+    node.posture_publisher.publish = lambda message: stamps.append(conversions.stamp_ns(message.header.stamp))
+    node.begun, node.begun_s = True, time.monotonic()
+    node.begin()
+    node.publish_due()
+    for set_by_s in (36, -72):
+        node.origin_ns -= set_by_s * NS
+        n_before = len(stamps)
+        while len(stamps) == n_before:
+            node.publish_due()
+        assert abs(node.get_clock().now().nanoseconds - stamps[-1]) < NS
 
 
 def cloud(t_ns: int, grid: VoxelGrid = SCENE.grid) -> Any:
