@@ -7,10 +7,11 @@ import threading
 import uuid
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Protocol
+from typing import Protocol
 
 from action_msgs.msg import GoalStatus
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.task import Future
 from trajectory_msgs.msg import JointTrajectory
@@ -49,6 +50,9 @@ class Commander(Protocol):
     def waiting_for(self) -> str:
         """Return what is missing before a trajectory that is sent arrives; empty if nothing is."""
 
+    def wait_until_heard(self, timeout_s: float) -> bool:
+        """Return whether what was sent last has arrived within a time; for the end, when nobody spins the node."""
+
 
 class TopicCommander:
     """Publishes trajectories on the controller's topic; what the controller does with them stays unknown."""
@@ -63,6 +67,10 @@ class TopicCommander:
 
     def waiting_for(self) -> str:
         return self._node.unmatched(self._publisher, self._controller)
+
+    def wait_until_heard(self, timeout_s: float) -> bool:
+        heard: bool = self._publisher.wait_for_all_acked(Duration(seconds=timeout_s))
+        return heard
 
 
 class ActionCommander:
@@ -82,7 +90,8 @@ class ActionCommander:
         Raises:
             UsageError: control_msgs is not installed.
         """
-        self._action, self._name, self._failed = action_type(), action_name(node), failed
+        self._node, self._failed = node, failed
+        self._action, self._name = action_type(), action_name(node)
         self._services = self._action.Impl
         self._goals = node.create_client(self._services.SendGoalService, f"{self._name}/_action/send_goal")
         self._results = node.create_client(self._services.GetResultService, f"{self._name}/_action/get_result")
@@ -103,6 +112,13 @@ class ActionCommander:
     def waiting_for(self) -> str:
         ready = self._goals.service_is_ready() and self._results.service_is_ready()
         return "" if ready else f"the action {self._name} of the arm's controller"
+
+    def wait_until_heard(self, timeout_s: float) -> bool:
+        answer, executor = self._newest, self._node.executor
+        if answer is None or executor is None:
+            return answer is None
+        executor.spin_until_future_complete(answer, timeout_s)
+        return bool(answer.done())
 
     def _on_answer(self, goal_id: UUID, answer: Future) -> None:
         if not answer.result().accepted:
@@ -150,16 +166,12 @@ def other_commanders(node: Node) -> str:
     """Return the names of other nodes that command the same controller by topic or action; empty if there are none."""
     topic, service = node.resolve_topic_name(topics.TRAJECTORY), f"{action_name(node)}/_action/send_goal"
     own = (node.get_namespace(), node.get_name())
-    nodes: list[tuple[str, str]] = [(n.node_namespace, n.node_name) for n in node.get_publishers_info_by_topic(topic)]
-    if own in nodes:
-        nodes.remove(own)
-    everybody: Any = [(namespace, name) for name, namespace in node.get_node_names_and_namespaces()]
-    if own in everybody:
-        everybody.remove(own)
-    for namespace, name in everybody:
+    found = {(info.node_namespace, info.node_name) for info in node.get_publishers_info_by_topic(topic)} - {own}
+    everybody = [(namespace, name) for name, namespace in node.get_node_names_and_namespaces()]
+    for namespace, name in set(everybody) - {own}:
         with contextlib.suppress(NodeNameNonExistentError):  # it has gone meanwhile
-            clients = dict(node.get_client_names_and_types_by_node(name, namespace))
-            # The graph does not tell clients of two nodes of one name apart.
-            if service in clients or (namespace, name) == own:
-                nodes.append((namespace, name))
-    return ", ".join(sorted({f"{namespace.rstrip('/')}/{name}" for namespace, name in nodes}))
+            if service in dict(node.get_client_names_and_types_by_node(name, namespace)):
+                found.add((namespace, name))
+    if everybody.count(own) > 1:  # the graph does not tell apart what nodes of one name do
+        found.add(own)
+    return ", ".join(sorted(f"{namespace.rstrip('/')}/{name}" for namespace, name in found))

@@ -117,9 +117,8 @@ def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ArmClient]:
 def arm(started: ArmClient) -> ArmClient:
     """An arm that is free, and at the scene's start."""
     started.set_parameter("stuck", False)
-    started.send_until(
-        lambda: started.by_topic.publish(to_start()), lambda: np.abs(started.q - START).max() < 1e-6, "the start"
-    )
+    started.result(started.start_goal(to_start()))
+    started.until_at(START)
     started.failures.clear()
     return started
 
@@ -181,6 +180,16 @@ def test_several_threads_may_send(arm: ArmClient) -> None:
     arm.until_at(START + 0.1)
     assert arm.failures == []
     assert [future.exception() for future in sent] == [None] * 8
+
+
+def test_the_last_trajectory_arrives_although_the_node_ends(arm: ArmClient) -> None:
+    topic = TopicCommander(arm.node)
+    arm.wait(lambda: topic._publisher.get_subscription_count() > 0, "the arm to listen")
+    for commander in (arm.commander, topic):
+        arm.commander.send(motion(1.0, velocity=0.1, begin=arm.q))
+        commander.send(motion(0.1, begin=arm.q))
+        assert commander.wait_until_heard(5.0)
+        arm.until_at(START + 0.1)
 
 
 def test_an_arm_that_is_stuck_aborts_every_time(arm: ArmClient) -> None:
