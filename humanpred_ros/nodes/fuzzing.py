@@ -409,7 +409,7 @@ class Fuzzing:
         now_ns, clock = _START_NS, node.get_clock()
         node.steady_s = lambda: now_ns * 1e-9
         target.open(node, self.bench)
-        spoiled, left, good_s = False, 100, 0.0
+        spoiled, left, good_s = False, 30, 0.0
         begun_s, before_mb = time.monotonic(), 0.0
         refused = 0
         while self.done < n:

@@ -28,6 +28,8 @@ from humanpred_ros.stomp.config import StompConfig
 _MOST_NOISE = 0.003
 _LEAST_DURATION_S = 0.1
 _MOST_ENDS = 256
+#: Postures of a future, at most: no hand has farther to go than some 4 m, whatever a posture says.
+_MOST_POSTURES = 64
 
 
 class ReachFuturesSettings(Settings):
@@ -212,7 +214,7 @@ class ReachFutures:
         return np.stack([np.interp(share, evenly, column) for column in difference.T], axis=1)
 
     def _n_postures(self, way_m: float) -> int:
-        return 2 + int(np.ceil(way_m / self.settings.step_m))
+        return 2 + int(np.ceil(min(way_m / self.settings.step_m, _MOST_POSTURES - 2.0)))
 
 
 def _root(covariance: FloatArray) -> FloatArray:

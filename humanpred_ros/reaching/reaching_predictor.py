@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from humanpred_ros.errors import UsageError
-from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.errors import MotionError, UsageError
+from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.geometry.solids import Obstacle
 from humanpred_ros.human.model import HumanModel
@@ -40,6 +40,8 @@ from humanpred_ros.settings import Settings, setting
 #: P2's cost as its authors learned it.
 DEFAULT_WEIGHTS = "authors_dynamic"
 
+#: No length or angle of a body is larger, m and rad.
+_LARGEST = 100.0
 #: Postures that are learned from of each motion of a model.
 _N_POSTURES = 50
 
@@ -216,7 +218,18 @@ class ReachingPredictor(Predictor):
         self._recogniser.start()
 
     def update(self, q: FloatArray, t_s: float) -> Prediction:
-        """Take one posture (D,) stamped `t_s`; raises what the classifier raises, and then changes nothing."""
+        """Take one posture (D,) stamped `t_s`; raises what the classifier raises, and then changes nothing.
+
+        Raises:
+            MotionError: also for lengths or angles that no body has: what is compiled for speed counts on bodies.
+        """
+        q = checked("posture", q, (len(self.human.dof_names),), error=MotionError)
+        if np.abs(q).max() > _LARGEST:
+            name = self.human.dof_names[int(np.argmax(np.abs(q)))]
+            raise MotionError(
+                f"posture: wanted lengths and angles within {_LARGEST:g} m and rad, got {name} {np.abs(q).max():.3g}; "
+                "check its units"
+            )
         posterior = self._recogniser.update(q, t_s)
         progress = self._classifier.progress
         if not posterior.n_frames:
