@@ -70,8 +70,8 @@ class Graph(Protocol):
     def work(self, processes: int) -> None:
         """Let so many processes do nothing but work; 0 ends them."""
 
-    def fill_disk(self, full: bool) -> None:
-        """Let no file of the recorder grow any further, or let them again."""
+    def fill_disk(self) -> None:
+        """Let no file of the recorder grow any further."""
 
 
 @dataclass(frozen=True)
@@ -293,14 +293,16 @@ def _stopped(node: str, *reasons: str, **more: Any) -> Fault:
 
 
 def _restarted(node: str, *reasons: str, **more: Any) -> Fault:
-    def again(graph: Graph) -> None:
-        graph.end(node)
-        graph.start(node)
-
     expected = more.pop("expected", "hold until it is back" if more.get("outcome", HOLDS) == HOLDS else "works on")
     return Fault(
-        f"{NODES[node]} restarted", DIRECT, again, _nothing, expected, reasons, recovery_s=_START_S, joins=node, **more
+        f"{NODES[node]} restarted", DIRECT, partial(_restart, node), _nothing, expected, reasons,
+        recovery_s=_START_S, joins=node, **more,
     )  # fmt: skip
+
+
+def _restart(node: str, graph: Graph) -> None:
+    graph.end(node)
+    graph.start(node)
 
 
 def _signal(node: str, number: int, graph: Graph) -> None:
@@ -340,8 +342,8 @@ FAULTS: tuple[Fault, ...] = (
     Fault(
         "disk full",
         DIRECT,
-        lambda g: g.fill_disk(True),
-        lambda g: g.fill_disk(False),
+        lambda g: g.fill_disk(),
+        partial(_restart, RECORDER),
         "the arm works on; told on /diagnostics; what is there stays readable",
         ("disk", "cannot be written", "No space"),
         outcome=GOES_ON,
@@ -377,7 +379,7 @@ FAULTS: tuple[Fault, ...] = (
     # The arm.
     _of_arm("arm does not follow (stands)", "stuck", True, False),
     _of_arm("arm paused by its controller", "speed_factor", 0.0, 1.0),
-    _of_arm("arm slowed to 0.2 by its controller", "speed_factor", 0.2, 1.0),
+    _of_arm("arm slowed to 0.2 by its controller", "speed_factor", 0.2, 1.0, rests=False, lasts_s=3.0),
     Fault(
         "arm moved by hand",
         RELAYED,
@@ -395,7 +397,8 @@ FAULTS: tuple[Fault, ...] = (
         "hold; planned anew from where the arm is",
         ("the arm does not follow",),
         rests=False,
-        lasts_s=4.0,
+        lasts_s=1.0,
+        patience_s=20.0,
     ),
     _of_message("arm silent", topics.JOINT_STATES, lambda g: lambda m: [], "silent arm"),
     _of_message("arm: a joint missing", topics.JOINT_STATES, _always(_without_last), "missing joints", "silent arm"),

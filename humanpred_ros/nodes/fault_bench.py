@@ -9,6 +9,7 @@ arm does not work again afterwards. What only a guard outside the planner can ca
 from __future__ import annotations
 
 import tempfile
+import textwrap
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -44,6 +45,7 @@ _LOST_S = 1.0
 #: A fault is put in while the arm is going to move for so long yet, s; how long that is waited for.
 _UNDER_WAY_S, _MOVING_LIMIT_S = 1.5, 60.0
 _TRIALS = 2
+_LONGEST_REASON = 120
 
 
 class FaultBenchSettings(OutputSettings):
@@ -87,8 +89,9 @@ class Row:
 
     @property
     def reason(self) -> str:
-        """The reason that was given first."""
-        return next((trial.reason for trial in self.trials if trial.reason), "")
+        """The reason that was given first; the JSON file has it whole."""
+        said = next((trial.reason for trial in self.trials if trial.reason), "")
+        return textwrap.shorten(said, _LONGEST_REASON, placeholder=" ...")
 
     @property
     def again(self) -> str:
@@ -209,6 +212,7 @@ def _trial(fault: Fault, graph: FaultGraph) -> Trial:
         lambda: heard.working_since(ended_s) and heard.spoken_since(ended_s, fault.joins), fault.recovery_s
     )
     trial = judged(heard, bounds, began_s, ended_s, time.monotonic() if recovered else None)
+    trial = replace(trial, reason=trial.reason.replace(f"{graph.logs}/", ""))
     lost_s = graph.lost_s()
     if lost_s is None:
         return trial

@@ -114,13 +114,14 @@ class FaultGraph:
     Attributes:
         wire: what spoils messages and listens.
         grid: lattice of the scene.
+        logs: folder of logs and bags.
     """
 
     def __init__(self, kind: str, inputs: Inputs, logs: Path) -> None:
         """Take DIRECT, RELAYED or CLOCK, what the nodes are given, and a new folder for logs and bags."""
         scene = load_scene(inputs.scene)
         self.grid = scene.grid
-        self._kind, self._inputs, self._logs = kind, inputs, logs
+        self._kind, self._inputs, self.logs = kind, inputs, logs
         relayed = {DIRECT: (), CLOCK: (POSTURES, topics.CLOCK)}.get(kind, _RELAYED)
         self._group = NodeGroup(logs, free_domain_id())
         self.wire = Wire(self._group.domain_id, scene.arm.chain.joint_names, relayed)
@@ -186,13 +187,10 @@ class FaultGraph:
         }  # fmt: skip
 
     def _bag(self) -> Path:
-        return self._logs / f"bag_{self._bags}"
-
-    def _running(self, node: str) -> list[NodeProcess]:
-        return [entry for entry in self._group.nodes if entry.name == node and entry.running]
+        return self.logs / f"bag_{self._bags}"
 
     def _process(self, node: str) -> NodeProcess:
-        running = self._running(node)
+        running = [entry for entry in self._group.nodes if entry.name == node and entry.running]
         if not running:
             last = [entry for entry in self._group.nodes if entry.name == node][-1]
             raise UsageError(f"bench faults: the {NODES[node]} has ended by itself; the end of its log:\n{last.tail()}")
@@ -252,23 +250,12 @@ class FaultGraph:
             process.wait()
         self._busy = [subprocess.Popen([sys.executable, "-c", _BUSY]) for _ in range(processes)]
 
-    def fill_disk(self, full: bool) -> None:
-        """Let no file of the recorder grow any further, or let them again: every write fails, as on a full disk.
-
-        A recorder that has ended is started again.
-        """
-        if full:
-            self.watched = (self._bag(), time.time_ns())
-            largest = max(file.stat().st_size for file in self._bag().iterdir())
-            self._let_grow(largest)
-        elif self._running(RECORDER):
-            self._let_grow(resource.RLIM_INFINITY)
-        else:
-            self.start(RECORDER)
-
-    def _let_grow(self, limit: int) -> None:
+    def fill_disk(self) -> None:
+        """Let no file of the recorder grow any further: every write fails, as on a full disk."""
+        self.watched = (self._bag(), time.time_ns())
+        largest = max(file.stat().st_size for file in self._bag().iterdir())
         pid = self._process(RECORDER).process.pid
-        resource.prlimit(pid, resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, (largest, resource.RLIM_INFINITY))
 
     def lost_s(self) -> float | None:
         """Return how much the last bag lacks that was watched: s from its last message to the fault; None without."""
