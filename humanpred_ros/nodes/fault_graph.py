@@ -31,10 +31,10 @@ from humanpred_ros.evaluation.faults import (
     RECORDER,
     TRACKED_BODY,
     TRACKER,
-    Spoil,
     wired,
 )
 from humanpred_ros.evaluation.processes import NodeGroup, NodeProcess, ParameterValue, free_domain_id
+from humanpred_ros.evaluation.spoilt_messages import Spoil
 from humanpred_ros.human.model import human_with
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.library_io import load_library

@@ -28,8 +28,9 @@ from trajectory_msgs.msg import JointTrajectory
 from humanpred_ros import topics
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.fault_trials import Heard, TimedText
-from humanpred_ros.evaluation.faults import POSTURES, Spoil, wired
+from humanpred_ros.evaluation.faults import POSTURES, wired
 from humanpred_ros.evaluation.processes import ParameterValue
+from humanpred_ros.evaluation.spoilt_messages import Spoil
 from humanpred_ros.nodes import conversions, qos
 
 _POLL_S = 0.01
