@@ -76,10 +76,11 @@ def test_an_arm_that_does_not_follow_is_stopped_and_goes_on_from_where_it_is(ses
         assert np.abs(np.array(stop[-1].positions) - client.controller.q).max() < TOLERANCE_RAD
         client.controller.stuck = False
     session.until_moving()
-    # Moved by hand, 0.2 rad: the next motion begins there.
+    # Moved by hand, 0.2 rad, and held there: the next motion begins there.
+    client.controller.stuck = True
     client.controller.q = client.controller.q + 0.2
-    client.controller.hold()
     session.until_hold("the arm does not follow")
+    client.controller.stuck = False
     n_sent = len(client.trajectories)
     session.until_moving()
     first = client.trajectories[n_sent].points[0]
