@@ -23,6 +23,10 @@ from humanpred_ros.planning.trajectory import TimedTrajectory
 NS_PER_S = 1_000_000_000
 #: A last velocity up to this counts as rest, rad/s: the controller compares with float32's epsilon.
 REST_VELOCITY = float(np.finfo(np.float32).eps)
+#: No joint, velocity or acceleration is as large: beyond, whole turns and differences drown in rounding.
+_LARGEST = 1e6
+#: So many points may tell of one voxel.
+_MOST_POINTS = 4
 _CENTRE_TOLERANCE = 1e-3  # of a voxel: what float32 coordinates can be off by, with room to spare
 
 
@@ -51,7 +55,7 @@ def ordered_positions(message: JointState, names: Sequence[str]) -> FloatArray:
     """Return the positions of `names` (D,), wherever they stand in the message.
 
     Raises:
-        ArrayError: a name is missing or stands there twice, or a position is not finite.
+        ArrayError: a name is missing or stands there twice, or a position is not finite, or larger than any joint's.
     """
     where = _places_of(message, names)
     missing = [name for name in names if name not in where or where[name] >= len(message.position)]
@@ -60,11 +64,13 @@ def ordered_positions(message: JointState, names: Sequence[str]) -> FloatArray:
     q = np.array([message.position[where[name]] for name in names], dtype=np.float64)
     if not np.isfinite(q).all():
         raise ArrayError(f"not finite: wanted numbers for {', '.join(names)}, got {q}")
+    if np.abs(q).max(initial=0.0) > _LARGEST:
+        raise ArrayError(f"too large: wanted positions of at most {_LARGEST:g} rad or m, got {q}")
     return q
 
 
 def ordered_velocities(message: JointState, names: Sequence[str]) -> FloatArray | None:
-    """Return the velocities of `names` (D,); None if the message does not have them all, or not all are finite.
+    """Return the velocities of `names` (D,); None if the message does not have them all, or one that none can have.
 
     Raises:
         ArrayError: a name stands there twice.
@@ -73,7 +79,7 @@ def ordered_velocities(message: JointState, names: Sequence[str]) -> FloatArray 
     if any(where.get(name, len(message.velocity)) >= len(message.velocity) for name in names):
         return None
     v = np.array([message.velocity[where[name]] for name in names], dtype=np.float64)
-    return v if np.isfinite(v).all() else None
+    return v if (np.abs(v) <= _LARGEST).all() else None
 
 
 def _places_of(message: JointState, names: Sequence[str]) -> dict[str, int]:
@@ -120,9 +126,28 @@ _UNKNOWN = "unknown: "
 
 def unknown_cloud(reason: str, t_ns: int, frame_id: str = "world") -> PointCloud2:
     """Return a cloud that says that nobody knows where people are, and why; `occupancy_from_cloud` raises it."""
+    return _saying(f"{_UNKNOWN}{reason}", t_ns, frame_id)
+
+
+def _saying(what: str, t_ns: int, frame_id: str) -> PointCloud2:
+    """Return a cloud without voxels that has a field of this name."""
     cloud = _cloud(np.empty(0, dtype=[(name, "<f4") for name in ("x", "y", "z", "probability")]), t_ns, frame_id)
-    cloud.fields = [*cloud.fields, PointField(name=f"{_UNKNOWN}{reason}", datatype=PointField.FLOAT32, count=1)]
+    cloud.fields = [*cloud.fields, PointField(name=what, datatype=PointField.FLOAT32, count=1)]
     return cloud
+
+
+#: Name of a field of clouds without voxels that say that nobody is there.
+_NOBODY = "nobody"
+
+
+def nobody_cloud(t_ns: int, frame_id: str = "world") -> PointCloud2:
+    """Return a cloud that says that nobody is there: one without voxels alone is not believed (`says_nobody`)."""
+    return _saying(_NOBODY, t_ns, frame_id)
+
+
+def says_nobody(cloud: PointCloud2) -> bool:
+    """Return whether an occupancy cloud says that nobody is there, as whoever sees people must."""
+    return any(field.name == _NOBODY for field in cloud.fields)
 
 
 #: Types of numbers in a cloud (sensor_msgs/PointField), as NumPy knows them.
@@ -183,6 +208,11 @@ def occupancy_from_cloud(message: PointCloud2, grid: VoxelGrid, t_s: float, fram
     said = [field.name.removeprefix(_UNKNOWN) for field in message.fields if field.name.startswith(_UNKNOWN)]
     if said:
         raise ArrayError(f"where people are is not known: {said[0]}")
+    if message.width * message.height > _MOST_POINTS * grid.size:
+        raise ArrayError(
+            f"huge cloud: wanted at most {_MOST_POINTS} points for each of {grid.size} voxels, got "
+            f"{message.width * message.height}"
+        )
     values = cloud_columns(message, ("x", "y", "z", "probability"))
     probability = np.zeros(grid.size, dtype=np.float32)
     if len(values):
@@ -288,7 +318,7 @@ def controller_refusal(message: Any, joint_names: Sequence[str], now_ns: int | N
       (`allow_nonzero_velocity_at_trajectory_end` is false);
     - a trajectory with a stamp does not end in the past; a stamp of 0 means "from now on".
 
-    Numbers that are not finite are refused too, which the controller leaves to whoever commands it.
+    Numbers that are not finite, or larger than any joint's, are refused too; the controller leaves that to others.
 
     Args:
         message: a trajectory_msgs/JointTrajectory, or anything with the same fields.
@@ -328,7 +358,9 @@ def _point_refusal(point: Any, n: int) -> str:
         if len(getattr(point, name)) not in (0, n):
             return f"wanted {n} {name} or none, got {len(getattr(point, name))}"
     values = np.concatenate([np.asarray(part) for part in (point.positions, point.velocities, point.accelerations)])
-    return "" if np.isfinite(values).all() else "wanted finite numbers, got NaN or infinity"
+    if (np.abs(values) <= _LARGEST).all():
+        return ""
+    return f"wanted numbers of at most {_LARGEST:g}, got NaN, infinity or larger ones"
 
 
 def decision_message(decision: Decision, t_ns: int, compute_ms: float) -> DiagnosticArray:

@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 import threading
 import time
+import traceback
+from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -25,9 +28,9 @@ from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.inputs import kind_of
 from humanpred_ros.nodes.markers import candidate_markers, rollout_markers
 from humanpred_ros.nodes.parameters import declare, plugin_parameters
-from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, Decision
+from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, MISSED, Decision
 from humanpred_ros.planning.following import ArmFollowing, FollowingSettings
-from humanpred_ros.planning.replanner import Replanner
+from humanpred_ros.planning.replanner import NO_TIME, Replanner
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.plugins import Given
 from humanpred_ros.robot.scene import load_scene
@@ -98,11 +101,16 @@ class StompPlannerSettings(Settings):
 class StompPlannerNode(GraphNode):
     """P1's Algorithm 1 on topics: an occupancy comes in, a decision goes out, and a trajectory when due.
 
-    Every occupancy is answered by exactly one decision with the same stamp. Human data that are stale,
-    or that cannot be used, lead to a hold with a named reason, never to planning as if nobody were there. So does an
-    arm that is silent, or not where it was commanded to be: planning goes on from where it was measured, once it rests.
+    Every occupancy is answered by one decision with the same stamp, unless a newer one came before its turn. Human data
+    that are stale, or that cannot be used, lead to a hold with a named reason, never to planning as if nobody were
+    there. So does an arm that is silent, or not where it was commanded to be: planning goes on from where it was
+    measured, once it rests. So does a machine too busy to finish a replanning step.
+
+    What protects waits for nothing: one thread takes the messages, and holds at once when one calls for it; one plans
+    with the newest occupancy; one watches, on a clock that nobody sets, for what does not come.
 
     In stepped runs, which wait for whoever is slow, ages mean nothing; they are not looked at, and neither is the arm.
+    Everything then happens in one thread, one message after the other.
     """
 
     def __init__(self) -> None:
@@ -119,8 +127,11 @@ class StompPlannerNode(GraphNode):
         self.begun = self.holding = self.told_hold = False
         self.lost_s = 0.0
         self.origin_ns = self.last_ns = self.last_now_ns = 0
-        # When the newest usable occupancy and the newest joint state came, on a clock that nobody sets.
-        self.human_came_s = self.arm_came_s = time.monotonic()
+        # When what is known of people was true, when the newest joint state came, and when a replanning step was
+        # finished, on a clock that nobody sets.
+        self.human_true_s = self.arm_came_s = self.stepped_s = time.monotonic()
+        self.somebody_seen = False
+        self.n_holds, self.hold_reason = 0, ""
         self.last_refusal = ""
 
         self.trajectory_publisher = self.create_publisher(JointTrajectory, topics.TRAJECTORY, qos.COMMAND)
@@ -135,10 +146,13 @@ class StompPlannerNode(GraphNode):
         self.listen(JointState, topics.JOINT_STATES, self.on_joint_state, qos.ARM, max_age_s=arm_age_s)
         profile = qos.sensor_subscription(settings.lossless, newest_only=True)
         self.listen(PointCloud2, topics.OCCUPANCY, self.on_occupancy, profile, max_age_s=human_age_s)
-        # A thread of its own: what protects must not wait for planning, or for a clock that has stopped.
-        self._closing = threading.Event()
-        self._watchdog = threading.Thread(target=self._watch, name="watchdog", daemon=True)
-        self._watchdog.start()
+        self._closing, self._asked = threading.Event(), threading.Event()
+        # With how many holds there were before it came: an older one ends none.
+        self._newest: deque[tuple[Occupancy, int, float, int]] = deque(maxlen=1)
+        work = () if settings.lossless else (self._plan, self._watch)
+        self._threads = [threading.Thread(target=self._guarded, args=(target,), daemon=True) for target in work]
+        for thread in self._threads:
+            thread.start()
 
     def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         """Take the noise of the rollouts at run time; everything else is read-only."""
@@ -164,7 +178,19 @@ class StompPlannerNode(GraphNode):
 
     def close(self) -> None:
         self._closing.set()
-        self._watchdog.join()
+        self._asked.set()
+        for thread in self._threads:
+            thread.join()
+
+    def _guarded(self, work: Callable[[], None]) -> None:
+        """Do the work of a thread; if that fails, the arm is stopped and the process ends."""
+        try:
+            work()
+        except Exception as error:
+            self.get_logger().error(traceback.format_exc())
+            if self.begun:
+                self.publish(self._hold(f"the planner failed: {error}"), self.last_ns, time.perf_counter())
+            self.stop_with(PlanningError(f"the planner failed: {error}; please report this with the log"))
 
     def on_joint_state(self, message: JointState) -> bool:
         """Compare where the arm is with where it was commanded to be; return False for other joints' messages."""
@@ -178,13 +204,13 @@ class StompPlannerNode(GraphNode):
             return True
         with self.replanner.lock:
             self.arm_came_s = time.monotonic()
-            if self.begun:
-                # A driver may count the turns of a continuous joint otherwise.
-                commanded = self.replanner.state_at(self.now_s())[0]
-                q = commanded + self.replanner.arm.difference(commanded, q)
+            if self.arm_q is not None:
+                # A driver that was restarted may count the turns of a continuous joint otherwise.
+                q = self.arm_q + self.replanner.arm.difference(self.arm_q, q)
             self.following.see(q, self.arm_came_s)
             self.arm_q, self.arm_v = q, self.following.velocity if v is None else v
-            if self.begun and not self.settings.lossless:
+            # After the clock was set back, what was commanded when means nothing: the next occupancy begins anew.
+            if self.begun and not (self.settings.lossless or self._clock_is_back()):
                 self._check_arm(conversions.stamp_ns(message.header.stamp))
         return True
 
@@ -240,15 +266,27 @@ class StompPlannerNode(GraphNode):
         except ArrayError as error:
             self._answer_with_hold(str(error), stamp_ns, received_s, "invalid human data: ")
             return
-        self.human_came_s = time.monotonic()
+        if occupancy.probability.any():
+            self.somebody_seen = True
+        elif conversions.says_nobody(message):
+            self.somebody_seen = False
+        elif self.somebody_seen:
+            reason = "empty occupancy: people were there, and nobody said that they have left"
+            self._answer_with_hold(reason, stamp_ns, received_s)
+            return
+        self.human_true_s = time.monotonic() - max(age_s, 0.0)
         self.last_refusal = ""
         self.holding = False
-        self.publish(self.decide(occupancy), stamp_ns, received_s)
+        if lossless:
+            self._answer(occupancy, stamp_ns, received_s, self.n_holds)
+        else:
+            self._newest.append((occupancy, stamp_ns, received_s, self.n_holds))
+            self._asked.set()
 
     def _begin(self, stamp_ns: int, received_s: float, anew: bool) -> bool:
         """Let the time of `stamp_ns` be zero, and the arm begin where it was measured; return whether it can."""
         if self.arm_q is None:
-            self.refuse("no arm: an occupancy came before the arm's joint states")
+            self._wait_with_hold(f"no arm: its joints have not come on {topics.JOINT_STATES}", stamp_ns)
             return False
         others = self.other_planners()
         if others:
@@ -266,6 +304,7 @@ class StompPlannerNode(GraphNode):
                 self._wait_with_hold(str(error), stamp_ns)
                 return False
             self.begun, self.origin_ns, self.last_ns = True, stamp_ns, stamp_ns
+            self.stepped_s = time.monotonic()
             if not (self.settings.lossless or self.following.at_rest):
                 self.lost_s = -_RETRY_S
                 reason = "the arm moves, and not at this planner's command: it is stopped"
@@ -301,8 +340,40 @@ class StompPlannerNode(GraphNode):
 
     def _hold(self, reason: str) -> Decision:
         with self.replanner.lock:
-            self.holding = True
+            self.holding, self.hold_reason = True, reason
+            self.n_holds += 1
+            self._newest.clear()
+            if self._clock_is_back() and self.arm_q is not None:
+                return self.replanner.correct(self.arm_q, self.arm_v, self.now_s(), reason)
             return self.replanner.hold(self.now_s(), reason)
+
+    def _clock_is_back(self) -> bool:
+        """Return whether the node's clock has been set back since the newest occupancy."""
+        return self.get_clock().now().nanoseconds < self.last_now_ns
+
+    def _plan(self) -> None:
+        """Answer the newest occupancy, again and again."""
+        while True:
+            self._asked.wait()
+            self._asked.clear()
+            if self._closing.is_set():
+                return
+            if self._newest:
+                self._answer(*self._newest.pop())
+
+    def _answer(self, occupancy: Occupancy, stamp_ns: int, received_s: float, n_holds: int) -> None:
+        """Publish the decision on an occupancy that came after so many holds; it ends none that came later."""
+        try:
+            decision = self.decide(occupancy)
+        except PlanningError as error:  # the clock was set back meanwhile, and the arm began anew
+            self.refuse(str(error))
+            return
+        if decision.goals and decision.action != MISSED and not decision.reason.startswith(NO_TIME):
+            self.stepped_s = time.monotonic()
+        with self.replanner.lock:
+            if n_holds != self.n_holds and decision.action != HOLD:
+                decision = self._hold(self.hold_reason)
+            self.publish(decision, stamp_ns, received_s)
 
     def decide(self, occupancy: Occupancy) -> Decision:
         """Replan when a step is due or called for; a plan that comes too late to be switched to is not sent.
@@ -316,8 +387,10 @@ class StompPlannerNode(GraphNode):
         share = max(_SHARE_PER_GOAL * len(self.replanner.goal_names), _LEAST_SHARE)
         enough_s = occupancy.t_s + min(share, self.settings.stomp_share) * self.settings.period_s
         decision = self.replanner.respond(occupancy, self.now_s, lambda: self.now_s() >= enough_s)
-        if decision.action == ARRIVED and not self.following.at_rest:
-            return replace(decision, action=KEEP, reason=f"about to arrive: {decision.chosen}, but the arm still moves")
+        with self.replanner.lock:
+            if decision.action == ARRIVED and not self.following.at_rest:
+                reason = f"about to arrive: {decision.chosen}, but the arm still moves"
+                return replace(decision, action=KEEP, reason=reason)
         return decision
 
     def stale(self, age_s: float) -> str:
@@ -329,28 +402,35 @@ class StompPlannerNode(GraphNode):
         return (self.get_clock().now().nanoseconds - self.origin_ns) * 1e-9
 
     def _watch(self) -> None:
-        """Hold when human data or joint states have not come for too long; an arm at rest holds already."""
+        """Hold when human data, joint states or finished steps have not come for too long."""
         while not self._closing.wait(_WATCH_PERIOD_S):
-            if not self.begun or self.settings.lossless:
-                continue
-            now_s = time.monotonic()
-            human_s, arm_s = now_s - self.human_came_s, now_s - self.arm_came_s
-            if arm_s > self.settings.max_arm_age_s:
-                reason = f"silent arm: its joint states have not come for {arm_s:.2f} s"
-            elif human_s > self.settings.max_human_age_s:
-                reason = f"stale human data: none that can be used came for {human_s:.2f} s"
-                reason += f" ({self.last_refusal})" if self.last_refusal else ""
-            else:
-                continue
             with self.replanner.lock:
-                if not (self.holding or self.replanner.at_rest(self.now_s())):
-                    self.publish(self._hold(reason), self.last_ns, time.perf_counter())
+                trouble = "" if self.holding or not self.begun else self._overdue(time.monotonic())
+                if trouble:
+                    self.publish(self._hold(trouble), self.last_ns, time.perf_counter())
+
+    def _overdue(self, now_s: float) -> str:
+        """Return what has not come for too long; empty if nothing is overdue."""
+        settings = self.settings
+        human_s, arm_s, step_s = (now_s - came_s for came_s in (self.human_true_s, self.arm_came_s, self.stepped_s))
+        if arm_s > settings.max_arm_age_s:
+            return f"silent arm: its joint states have not come for {arm_s:.2f} s"
+        if human_s > settings.max_human_age_s:
+            why = f" ({self.last_refusal})" if self.last_refusal else ""
+            return f"stale human data: what is known of people is {human_s:.2f} s old{why}"
+        if step_s > settings.max_human_age_s + settings.period_s and not self.replanner.held:
+            return f"overload: no replanning step was finished for {step_s:.2f} s; the machine is too busy"
+        return ""
 
     def publish(self, decision: Decision, stamp_ns: int, received_s: float) -> None:
         """Send the trajectory first, then the decision: who waits for the decision finds the arm informed."""
         compute_ms = 1e3 * (time.perf_counter() - received_s)
-        if decision.trajectory is not None:
-            with self.replanner.lock:
+        with self.replanner.lock:
+            held = self.replanner.held
+            if held and decision.action != HOLD and not self.settings.lossless:
+                # The arm was stopped while this was decided.
+                decision = replace(decision, action=HOLD, reason=held, trajectory=None)
+            if decision.trajectory is not None:
                 # A controller forgets the old trajectory at once: it is sent what is left of it, then the new one.
                 now_s = decision.stamp_s if self.settings.lossless else self.now_s()
                 motion = self.replanner.motion_from(min(now_s, decision.t_switch_s)).lasting_until(now_s + _LEAST_S)

@@ -104,8 +104,7 @@ class ArmFollowing:
             t_s: now.
             delay_s: how long ago it was measured, at most.
         """
-        lags = np.linspace(0.0, self.settings.follow_lag_s + delay_s, _MOMENTS)
-        commanded = np.array([schedule.state_at(t_s - lag)[0] for lag in lags])
+        commanded = schedule.positions(t_s - np.linspace(self.settings.follow_lag_s + delay_s, 0.0, _MOMENTS))
         low, high = commanded.min(axis=0), commanded.max(axis=0)
         error = np.maximum(np.maximum(low - q, q - high), 0.0)
         self.error_rad = float(error.max())

@@ -134,8 +134,12 @@ class Problem:
         return brake_along(trajectory, t_s, self.acceleration_limit, self.config.sample_period_s)
 
     def stopped_from(self, q: ArrayLike, v: ArrayLike, t_s: float) -> TimedTrajectory:
-        """Return a stop from a measured position and velocity (D,) at `t_s`, every joint for itself."""
+        """Return a stop from a measured position and velocity (D,) at `t_s`, every joint for itself.
+
+        Nothing measured to be faster than a joint can be is believed: a position that jumps looks like that.
+        """
         limits = self.acceleration_limit, self.velocity_limit
+        v = np.clip(v, -self.chain.velocity_limit, self.chain.velocity_limit)
         return stop_trajectory(q, v, np.zeros_like(np.asarray(q)), *limits, self.config.sample_period_s, t_s)
 
     def not_free(self, trajectory: TimedTrajectory, begin_s: float) -> str:

@@ -41,7 +41,10 @@ from humanpred_ros.robot.goals import Goal
 from humanpred_ros.robot.scene import Scene
 from humanpred_ros.stomp.costs import Float32Array
 
-__all__ = ["Replanner", "ReplannerConfig"]
+__all__ = ["NO_TIME", "Replanner", "ReplannerConfig"]
+
+#: Begins the reason of a step that could not be planned.
+NO_TIME = "the deadline left no time for a single update"
 
 
 class Replanner:
@@ -367,7 +370,7 @@ def _decide(step: Step) -> Decision:
     step.plan_to_goals()  # line 5
     considered = [candidate.report for candidate in step.candidates if not candidate.report.set_aside]
     if considered and all(report.iterations == 0 for report in considered) and step.late:
-        return wait(step, "the deadline left no time for a single update")
+        return wait(step, NO_TIME)
     for candidate in step.ranked():  # line 6
         trajectory = step.executing if candidate.executing else step.timed(candidate.report.path)
         trouble = step.trouble(trajectory)

@@ -195,6 +195,12 @@ class Schedule:
         t, q, v, a = (np.array(part) for part in zip(*knots, strict=True))
         return TimedTrajectory(t, q, v, a)
 
+    def positions(self, t_s: FloatArray) -> FloatArray:
+        """Return the positions (T, D) at increasing times (T,); raises as `at`."""
+        begins = [from_s for from_s, _ in self._entries if t_s[0] < from_s <= t_s[-1]]
+        parts = np.split(t_s, np.searchsorted(t_s, begins, side="left"))
+        return np.concatenate([self.at(float(part[0])).sample(part)[0] for part in parts if len(part)])
+
     def state_at(self, t_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position, velocity and acceleration (D,) at `t_s`."""
         if not np.isfinite(t_s):

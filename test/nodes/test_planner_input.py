@@ -44,6 +44,14 @@ def good_cloud(t_ns: int) -> Any:
     return conversions.occupancy_cloud(nobody(SCENE), 0.0, t_ns)
 
 
+def assert_no_motion(client: PlannerClient) -> None:
+    """A hold may be sent to an arm at rest, which stays where it is."""
+    for message in client.trajectories:
+        for point in message.points:
+            assert list(point.positions) == SCENE.start.tolist()
+            assert not np.any(point.velocities)
+
+
 def test_bad_input_is_named_and_moves_nothing(tmp_path: Path) -> None:
     with PlannerClient(tmp_path, SCENE, QUICK) as client:
 
@@ -83,11 +91,7 @@ def test_bad_input_is_named_and_moves_nothing(tmp_path: Path) -> None:
         hold_on(spoiled_cloud, 0, "invalid human data: not finite")
         hold_on(shifted_cloud, 0, "invalid human data: other lattice")
         hold_on(good_cloud, 3 * NS, "stale human data")
-        # A hold may be sent to an arm at rest; it stays where it is.
-        for message in client.trajectories:
-            for point in message.points:
-                assert list(point.positions) == SCENE.start.tolist()
-                assert not np.any(point.velocities)
+        assert_no_motion(client)
         # All that is forgotten as soon as the human data can be used.
         client.send_until(
             lambda: client.send_cloud(good_cloud(client.now_ns())),
@@ -172,6 +176,79 @@ def test_a_deadline_too_short_for_one_update_holds_with_that_reason(tmp_path: Pa
             "ten more decisions",
         )
         assert {decision.action for decision in client.decisions} <= {"keep", "hold", "replan", "missed"}
+
+
+def empty_cloud(t_ns: int) -> Any:
+    return conversions.occupancy_cloud(Occupancy(SCENE.grid, np.zeros(SCENE.grid.shape, np.float32)), 0.0, t_ns)
+
+
+def test_that_people_have_left_must_be_said(tmp_path: Path) -> None:
+    with PlannerClient(tmp_path, SCENE, QUICK) as client:
+        client.settle_arm()
+        for cloud, answers, reason in (
+            (good_cloud, {"keep", "replan", "arrived"}, ""),
+            (empty_cloud, {"hold"}, "empty occupancy"),
+            (conversions.nobody_cloud, {"keep", "replan", "arrived"}, ""),
+            (empty_cloud, {"keep", "replan", "arrived"}, ""),  # they have left: there still is nobody
+            (good_cloud, {"keep", "replan", "arrived"}, ""),
+            (empty_cloud, {"hold"}, "empty occupancy"),
+        ):
+            n_before = len(client.decisions)
+            sent_ns = client.now_ns()
+            client.send_until(
+                lambda cloud=cloud: client.send_cloud(cloud(client.now_ns())),
+                lambda n=n_before, since=sent_ns, wanted=answers, why=reason: any(
+                    d.stamp_ns >= since and d.action in wanted and d.reason.startswith(why)
+                    for d in client.decisions[n:]
+                ),
+                f"one of {answers} to {cloud.__name__}",
+            )
+
+
+def test_bad_data_hold_while_a_step_is_planned(tmp_path: Path) -> None:
+    slow = {**QUICK, "iterations": 10_000, "waypoints": 100, "period_s": 10.0, "max_human_age_s": 20.0}
+    with PlannerClient(tmp_path, SCENE, slow) as client:
+        client.settle_arm()
+        long_ago_ns = client.now_ns() - 11 * NS
+        client.send_until(
+            lambda: client.send_cloud(good_cloud(long_ago_ns)),
+            lambda: any(d.action == "keep" for d in client.decisions),
+            "the first decision",
+        )
+        n_before = len(client.decisions)
+        due_ns = client.now_ns()  # more than a period later
+        client.send_until(
+            lambda: client.send_cloud(good_cloud(due_ns)), lambda: client.now_ns() - due_ns > NS // 2, "a step"
+        )
+        client.send_until(
+            lambda: client.send_cloud(spoiled_cloud(client.now_ns())),
+            lambda: any(d.reason.startswith("invalid human data") for d in client.decisions[n_before:]),
+            "a hold",
+        )
+        # The step is still being planned; when it is, its plan is not executed.
+        assert not any(d.stamp_ns == due_ns for d in client.decisions)
+        client.wait(lambda: any(d.stamp_ns == due_ns for d in client.decisions), "the end of the step", timeout_s=60.0)
+        planned = next(d for d in client.decisions if d.stamp_ns == due_ns)
+        assert (planned.action, planned.reason[:18]) == ("hold", "invalid human data")
+        assert_no_motion(client)
+
+
+def test_a_machine_too_busy_to_finish_a_step_holds(tmp_path: Path) -> None:
+    with PlannerClient(tmp_path, SCENE, {**QUICK, "velocity_scale": 0.05}) as client:
+        client.settle_arm()
+        for _ in range(2):
+            n_before = len(client.decisions)
+            client.send_until(
+                lambda: client.send_cloud(good_cloud(client.now_ns())),
+                lambda n=n_before: any(d.action == "replan" for d in client.decisions[n:]),
+                "the arm to be on its way",
+            )
+            # Older than a whole step when they come, not too old: no step has time for a single update.
+            client.send_until(
+                lambda: client.send_cloud(good_cloud(client.now_ns() - 300 * MS)),
+                lambda n=n_before: any(d.reason.startswith("overload") for d in client.decisions[n:]),
+                "a hold",
+            )
 
 
 def scene_with_goals(path: Path, change: Callable[[list[Any]], list[Any]]) -> Path:
