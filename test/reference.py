@@ -30,8 +30,7 @@ def node_settings() -> dict[str, type[Settings]]:
     for info in pkgutil.iter_modules(nodes.__path__):
         module = importlib.import_module(f"{nodes.__name__}.{info.name}")
         if hasattr(module, "main"):
-            own = [kind for kind in vars(module).values() if getattr(kind, "__module__", "") == module.__name__]
-            (found[info.name],) = [kind for kind in own if isinstance(kind, type) and issubclass(kind, Settings)]
+            found[info.name] = getattr(module, f"{info.name.title().replace('_', '')}Settings")
     return found
 
 

@@ -360,7 +360,7 @@ def _point_refusal(point: Any, n: int) -> str:
     values = np.concatenate([np.asarray(part) for part in (point.positions, point.velocities, point.accelerations)])
     if (np.abs(values) <= _LARGEST).all():
         return ""
-    return f"wanted numbers of at most {_LARGEST:g}, got NaN, infinity or larger ones"
+    return f"wanted finite numbers of at most {_LARGEST:g}, got others"
 
 
 def decision_message(decision: Decision, t_ns: int, compute_ms: float) -> DiagnosticArray:

@@ -10,7 +10,6 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
@@ -21,81 +20,26 @@ from visualization_msgs.msg import MarkerArray
 from humanpred_ros import topics
 from humanpred_ros.errors import ArrayError, PlanningError
 from humanpred_ros.geometry import compiled
-from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.inputs import kind_of
 from humanpred_ros.nodes.markers import candidate_markers, rollout_markers
+from humanpred_ros.nodes.measured_arm import MeasuredArm
 from humanpred_ros.nodes.parameters import declare, plugin_parameters
+from humanpred_ros.nodes.planner_settings import StompPlannerSettings
 from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, MISSED, Decision
-from humanpred_ros.planning.following import ArmFollowing, FollowingSettings
+from humanpred_ros.planning.following import FollowingSettings
 from humanpred_ros.planning.replanner import NO_TIME, Replanner
-from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.plugins import Given
 from humanpred_ros.robot.scene import load_scene
-from humanpred_ros.settings import Settings, setting, setting_of
-from humanpred_ros.stomp.config import StompConfig
 
 _WATCH_PERIOD_S = 0.02
 #: After an arm did not follow, so long passes before it is commanded again, s.
 _RETRY_S = 1.0
-#: Stamps of joint states older than this are not of the node's clock, s.
-_LONGEST_DELAY_S = 0.3
 #: A trajectory that ends sooner could be over before the controller has it, s.
 _LEAST_S = 0.1
 #: Share of a step after its occupancy's stamp that STOMP may take in real time: few goals answer sooner.
 _SHARE_PER_GOAL, _LEAST_SHARE = 0.16, 0.25
-
-
-class StompPlannerSettings(Settings):
-    """Parameters of `stomp_planner`."""
-
-    scene: str = setting("face_to_face", "scene name in config/scenes, or a YAML file")
-    period_s: float = setting_of(ReplannerConfig, "period_s")
-    seed: int = setting_of(ReplannerConfig, "seed")
-    threads: int = setting_of(ReplannerConfig, "threads")
-    waypoints: int = setting_of(StompConfig, "waypoints")
-    iterations: int = setting_of(StompConfig, "iterations", low=1)
-    rollouts: int = setting_of(
-        StompConfig, "rollouts", description="noisy rollouts per iteration, half of them reused", low=2
-    )
-    noise_std: float = setting_of(StompConfig, "noise_std")
-    cost_terms: tuple[str, ...] = setting_of(ReplannerConfig, "cost_terms")
-    noise_decay: float = setting_of(StompConfig, "noise_decay")
-    velocity_scale: float = setting_of(ReplannerConfig, "velocity_scale")
-    acceleration_limit: float = setting_of(ReplannerConfig, "acceleration_limit")
-    min_improvement: float = setting_of(ReplannerConfig, "min_improvement")
-    padding_m: float = setting_of(ReplannerConfig, "padding_m")
-    human_margin_m: float = setting_of(ReplannerConfig, "human_margin_m")
-    min_separation_m: float = setting_of(ReplannerConfig, "min_separation_m")
-    likely_probability: float = setting_of(ReplannerConfig, "likely_probability")
-    controller: str = setting("", "node that must be listening to the trajectories before this one is ready")
-    listener: str = setting("", "node that must be listening to the decisions before this one is ready")
-    max_human_age_s: float = setting(0.5, "older human occupancy leads to a hold", unit="s", low=0.02, high=60.0)
-    max_ahead_s: float = setting(
-        0.05, "human data with a stamp farther ahead of the clock are invalid", unit="s", low=0.0, high=10.0
-    )
-    max_arm_age_s: float = setting(
-        0.5, "an arm whose joint states have not come for so long is silent: a hold", unit="s", low=0.02, high=60.0
-    )
-    follow_tolerance_rad: float = setting_of(FollowingSettings, "follow_tolerance_rad")
-    follow_lag_s: float = setting_of(FollowingSettings, "follow_lag_s")
-    start_slack_rad: float = setting(
-        0.01, "an arm so little outside its joint limits is planned for from within them", unit="rad", low=0.0, high=0.2
-    )
-    stomp_share: float = setting(
-        0.6,
-        "share of a step after which STOMP must stop in real time, with many goals; sooner with few",
-        low=0.05,
-        high=0.95,
-    )
-    lossless: bool = setting(False, "subscribe reliably and keep every occupancy (stepped runs)")
-
-    def replanner_config(self, cost_terms: Given | None = None) -> ReplannerConfig:
-        """Return the replanner's settings these parameters, and those of cost terms, stand for."""
-        stomp = self.part(StompConfig, reused=self.rollouts // 2)
-        return self.part(ReplannerConfig, stomp=stomp, cost_term_settings=dict(cost_terms or {}))
 
 
 class StompPlannerNode(GraphNode):
@@ -121,15 +65,17 @@ class StompPlannerNode(GraphNode):
             config = settings.replanner_config(plugin_parameters(self, settings.cost_terms))
             self.replanner = Replanner.for_scene(self.scene, config)
             self.replanner.warm_up()
-        self.following = ArmFollowing(self.replanner.joint_names, settings.part(FollowingSettings))
-        self.arm_q: FloatArray | None = None
-        self.arm_v: FloatArray = np.zeros(len(self.replanner.joint_names))
+        self.arm = MeasuredArm(
+            self.replanner.joint_names,
+            settings.part(FollowingSettings),
+            self.replanner.arm.difference,
+            settings.max_arm_age_s,
+        )
         self.begun = self.holding = self.told_hold = False
         self.lost_s = 0.0
         self.origin_ns = self.last_ns = self.last_now_ns = 0
-        # When what is known of people was true, when the newest joint state came, and when a replanning step was
-        # finished, on a clock that nobody sets.
-        self.human_true_s = self.arm_came_s = self.stepped_s = time.monotonic()
+        # When what is known of people was true, and when a replanning step was finished, on a clock that nobody sets.
+        self.human_true_s = self.stepped_s = time.monotonic()
         self.somebody_seen = False
         self.n_holds, self.hold_reason = 0, ""
         self.last_refusal = ""
@@ -162,7 +108,7 @@ class StompPlannerNode(GraphNode):
         return SetParametersResult(successful=True)
 
     def waiting_for(self) -> str:
-        if self.arm_q is None:
+        if self.arm.q is None:
             return f"the arm's joints on {topics.JOINT_STATES}"
         listening = self.unmatched(self.decision_publisher, self.settings.listener) if self.settings.listener else ""
         return self.unmatched(self.trajectory_publisher, self.settings.controller) or listening
@@ -174,7 +120,7 @@ class StompPlannerNode(GraphNode):
         return "planning" if self.begun else super().working()
 
     def facts(self) -> dict[str, str]:
-        return {"following_error_rad": f"{self.following.error_rad:.4f}"} if self.begun else {}
+        return {"following_error_rad": f"{self.arm.following.error_rad:.4f}"} if self.begun else {}
 
     def close(self) -> None:
         self._closing.set()
@@ -196,40 +142,33 @@ class StompPlannerNode(GraphNode):
         """Compare where the arm is with where it was commanded to be; return False for other joints' messages."""
         if not set(message.name) & set(self.replanner.joint_names):
             return False
-        try:
-            q = conversions.ordered_positions(message, self.replanner.joint_names)
-            v = conversions.ordered_velocities(message, self.replanner.joint_names)
-        except ArrayError as error:
-            self.refuse(str(error))
-            return True
         with self.replanner.lock:
-            self.arm_came_s = time.monotonic()
-            if self.arm_q is not None:
-                # A driver that was restarted may count the turns of a continuous joint otherwise.
-                q = self.arm_q + self.replanner.arm.difference(self.arm_q, q)
-            self.following.see(q, self.arm_came_s)
-            self.arm_q, self.arm_v = q, self.following.velocity if v is None else v
+            try:
+                if not self.arm.take(message, self.get_clock().now().nanoseconds):
+                    self.refuse("late joint states: they were under way for too long to tell where the arm is")
+                    return True
+            except ArrayError as error:
+                self.refuse(str(error))
+                return True
             # After the clock was set back, what was commanded when means nothing: the next occupancy begins anew.
             if self.begun and not (self.settings.lossless or self._clock_is_back()):
-                self._check_arm(conversions.stamp_ns(message.header.stamp))
+                self._check_arm(self.arm)
         return True
 
-    def _check_arm(self, stamp_ns: int) -> None:
+    def _check_arm(self, arm: MeasuredArm) -> None:
         """Hold when the arm is not where it was commanded to be; go on from where it is once it rests."""
-        now_s, q = self.now_s(), self.arm_q
-        # A message that was under way for long tells of an earlier moment.
-        late_s = min(max(now_s - (stamp_ns - self.origin_ns) * 1e-9, 0.0), _LONGEST_DELAY_S) if stamp_ns else 0.0
-        assert q is not None
+        now_s = self.now_s()
+        assert arm.q is not None
         if not self.replanner.lost:
-            trouble = self.replanner.arm_trouble(self.following, q, now_s, late_s)
+            trouble = self.replanner.arm_trouble(arm.following, arm.q, now_s, arm.late_s)
             if trouble:
-                self.lost_s = self.arm_came_s
+                self.lost_s = arm.came_s
                 # Told to stay where it is by now, so that it does not go on by itself when it is free again.
-                decision = self.replanner.correct(q + late_s * self.arm_v, self.arm_v, now_s, trouble)
+                decision = self.replanner.correct(arm.position_now(), arm.v, now_s, trouble)
                 self.publish(decision, self.last_ns, time.perf_counter())
-        elif self.following.at_rest and self.arm_came_s - self.lost_s >= _RETRY_S:
+        elif arm.following.at_rest and arm.came_s - self.lost_s >= _RETRY_S:
             try:
-                self.replanner.regain(self.replanner.nearest_start(q, self.settings.start_slack_rad), now_s)
+                self.replanner.regain(self.replanner.nearest_start(arm.q, self.settings.start_slack_rad), now_s)
             except PlanningError as error:
                 self.refuse(str(error))
 
@@ -285,30 +224,30 @@ class StompPlannerNode(GraphNode):
 
     def _begin(self, stamp_ns: int, received_s: float, anew: bool) -> bool:
         """Let the time of `stamp_ns` be zero, and the arm begin where it was measured; return whether it can."""
-        if self.arm_q is None:
+        if self.arm.q is None:
             self._wait_with_hold(f"no arm: its joints have not come on {topics.JOINT_STATES}", stamp_ns)
             return False
         others = self.other_planners()
         if others:
             self._wait_with_hold(f"two planners: {others} commands this arm already; end one of them", stamp_ns)
             return False
-        if not (self.settings.lossless or self.following.known):
+        if not (self.settings.lossless or self.arm.following.known):
             self._wait_with_hold("arm not known: waiting to see whether it rests", stamp_ns)
             return False
         with self.replanner.lock:
             if anew:
                 self.publish(self._hold("the clock was set back"), stamp_ns, received_s)
             try:
-                self.replanner.start(self.replanner.nearest_start(self.arm_q, self.settings.start_slack_rad), 0.0)
+                self.replanner.start(self.replanner.nearest_start(self.arm.q, self.settings.start_slack_rad), 0.0)
             except PlanningError as error:
                 self._wait_with_hold(str(error), stamp_ns)
                 return False
             self.begun, self.origin_ns, self.last_ns = True, stamp_ns, stamp_ns
             self.stepped_s = time.monotonic()
-            if not (self.settings.lossless or self.following.at_rest):
+            if not (self.settings.lossless or self.arm.following.at_rest):
                 self.lost_s = -_RETRY_S
                 reason = "the arm moves, and not at this planner's command: it is stopped"
-                self.publish(self.replanner.correct(self.arm_q, self.arm_v, 0.0, reason), stamp_ns, received_s)
+                self.publish(self.replanner.correct(self.arm.q, self.arm.v, 0.0, reason), stamp_ns, received_s)
         return True
 
     def _wait_with_hold(self, reason: str, stamp_ns: int) -> None:
@@ -343,8 +282,8 @@ class StompPlannerNode(GraphNode):
             self.holding, self.hold_reason = True, reason
             self.n_holds += 1
             self._newest.clear()
-            if self._clock_is_back() and self.arm_q is not None:
-                return self.replanner.correct(self.arm_q, self.arm_v, self.now_s(), reason)
+            if self._clock_is_back() and self.arm.q is not None:
+                return self.replanner.correct(self.arm.q, self.arm.v, self.now_s(), reason)
             return self.replanner.hold(self.now_s(), reason)
 
     def _clock_is_back(self) -> bool:
@@ -388,7 +327,7 @@ class StompPlannerNode(GraphNode):
         enough_s = occupancy.t_s + min(share, self.settings.stomp_share) * self.settings.period_s
         decision = self.replanner.respond(occupancy, self.now_s, lambda: self.now_s() >= enough_s)
         with self.replanner.lock:
-            if decision.action == ARRIVED and not self.following.at_rest:
+            if decision.action == ARRIVED and not self.arm.following.at_rest:
                 reason = f"about to arrive: {decision.chosen}, but the arm still moves"
                 return replace(decision, action=KEEP, reason=reason)
         return decision
@@ -402,23 +341,29 @@ class StompPlannerNode(GraphNode):
         return (self.get_clock().now().nanoseconds - self.origin_ns) * 1e-9
 
     def _watch(self) -> None:
-        """Hold when human data, joint states or finished steps have not come for too long."""
+        """Hold when joint states, human data or finished steps have not come for too long."""
         while not self._closing.wait(_WATCH_PERIOD_S):
             with self.replanner.lock:
-                trouble = "" if self.holding or not self.begun else self._overdue(time.monotonic())
-                if trouble:
-                    self.publish(self._hold(trouble), self.last_ns, time.perf_counter())
+                reason = self._overdue(time.monotonic()) if self.begun else ""
+                if reason:
+                    self.publish(self._hold(reason), self.last_ns, time.perf_counter())
 
     def _overdue(self, now_s: float) -> str:
-        """Return what has not come for too long; empty if nothing is overdue."""
-        settings = self.settings
-        human_s, arm_s, step_s = (now_s - came_s for came_s in (self.human_true_s, self.arm_came_s, self.stepped_s))
+        """Return what has not come for too long; empty if nothing is overdue, or nothing new."""
+        settings, replanner = self.settings, self.replanner
+        arm_s, human_s, step_s = (now_s - came_s for came_s in (self.arm.came_s, self.human_true_s, self.stepped_s))
         if arm_s > settings.max_arm_age_s:
-            return f"silent arm: its joint states have not come for {arm_s:.2f} s"
+            if replanner.lost:
+                return ""
+            self.lost_s = now_s
+            replanner.lost = f"silent arm: its joint states have not come for {arm_s:.2f} s"
+            return replanner.lost
+        if self.holding:
+            return ""
         if human_s > settings.max_human_age_s:
             why = f" ({self.last_refusal})" if self.last_refusal else ""
             return f"stale human data: what is known of people is {human_s:.2f} s old{why}"
-        if step_s > settings.max_human_age_s + settings.period_s and not self.replanner.held:
+        if step_s > settings.max_human_age_s + settings.period_s and not replanner.held:
             return f"overload: no replanning step was finished for {step_s:.2f} s; the machine is too busy"
         return ""
 

@@ -23,7 +23,7 @@ from humanpred_ros.planning.person import Person, widened
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.planning.stopping import brake_along, stop_trajectory
 from humanpred_ros.planning.time_parameterisation import time_parameterise
-from humanpred_ros.planning.trajectory import TimedTrajectory
+from humanpred_ros.planning.trajectory import TimedTrajectory, at_rest
 from humanpred_ros.robot.goals import Goal
 from humanpred_ros.settings import Settings
 from humanpred_ros.stomp.costs import CostTerm, CostTermRequest, HumanOccupancyCost, ObstacleCost
@@ -136,11 +136,14 @@ class Problem:
     def stopped_from(self, q: ArrayLike, v: ArrayLike, t_s: float) -> TimedTrajectory:
         """Return a stop from a measured position and velocity (D,) at `t_s`, every joint for itself.
 
-        Nothing measured to be faster than a joint can be is believed: a position that jumps looks like that.
+        An arm faster than it is ever commanded to be was seen to jump: its velocity is not believed. One whose way to
+        rest would leave the joint limits rests where it is.
         """
+        v = np.clip(v, -self.velocity_limit, self.velocity_limit)
         limits = self.acceleration_limit, self.velocity_limit
-        v = np.clip(v, -self.chain.velocity_limit, self.chain.velocity_limit)
-        return stop_trajectory(q, v, np.zeros_like(np.asarray(q)), *limits, self.config.sample_period_s, t_s)
+        stop = stop_trajectory(q, v, np.zeros_like(v), *limits, self.config.sample_period_s, t_s)
+        outside = (stop.q < self.chain.lower) | (stop.q > self.chain.upper)
+        return at_rest(q, t_s) if outside.any() else stop
 
     def not_free(self, trajectory: TimedTrajectory, begin_s: float) -> str:
         """Return why a trajectory must not be executed from `begin_s` on, whoever is there; empty if it may."""

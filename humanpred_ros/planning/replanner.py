@@ -50,7 +50,7 @@ NO_TIME = "the deadline left no time for a single update"
 class Replanner:
     """P1's Algorithm 1 for one arm and a set of goals.
 
-    One thread plans; `hold` and `correct` may be called by another, also while a step is planned: under `lock`.
+    One thread plans. Another may call `hold`, `correct` and `regain`, also while a step is planned: under `lock`.
 
     Attributes:
         problem: what stays the same from step to step: arm, goals, limits, settings.
@@ -272,7 +272,7 @@ class Replanner:
         return decision
 
     def regain(self, q: ArrayLike, t_s: float) -> None:
-        """Go on after `correct`, from an arm that was measured at rest at `q` (D,) at `t_s`; raises as `correct`."""
+        """Go on with an arm that was `lost`: measured at rest at `q` (D,) at `t_s`; raises as `correct`."""
         state = self._started()
         state.schedule, state.lost = Schedule(q, t_s), ""
 
@@ -285,6 +285,10 @@ class Replanner:
     def lost(self) -> str:
         """Why the arm is not where it was commanded to be, so that it is not commanded; empty while it is."""
         return "" if self._state is None else self._state.lost
+
+    @lost.setter
+    def lost(self, reason: str) -> None:
+        self._started().lost = reason
 
     def motion_from(self, t_s: float) -> TimedTrajectory:
         """Return all that is commanded from `t_s` on, as one trajectory that begins with the state then."""

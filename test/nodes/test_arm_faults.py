@@ -88,11 +88,19 @@ def test_an_arm_that_does_not_follow_is_stopped_and_goes_on_from_where_it_is(ses
 
 
 def test_an_arm_that_falls_silent_is_stopped_every_time(session: Session) -> None:
+    client = session.client
     for _ in range(2):
         session.until_moving()
-        session.client.arm_runs = False
+        client.arm_runs = False
         session.until_hold("silent arm")
-        session.client.arm_runs = True
+        # Nobody knows where it is: people who are seen go on being answered with a hold, and nothing is sent.
+        n_before = len(client.decisions)
+        session.go_on(lambda n=n_before: len(client.decisions) > n + 5, "the stop")
+        n_before, n_sent = len(client.decisions), len(client.trajectories)
+        session.go_on(lambda n=n_before: len(client.decisions) > n + 20, "further answers")
+        assert {d.action for d in client.decisions[n_before:]} == {"hold"}
+        assert len(client.trajectories) == n_sent
+        client.arm_runs = True
 
 
 def test_a_stamp_ahead_holds_and_spoils_nothing(session: Session) -> None:

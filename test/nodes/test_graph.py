@@ -37,7 +37,7 @@ from humanpred_ros.robot.scene import load_scene
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
 from humanpred_ros import topics
 from humanpred_ros.nodes import conversions
-from humanpred_ros.nodes.stomp_planner import StompPlannerSettings
+from humanpred_ros.nodes.planner_settings import StompPlannerSettings
 
 LABEL, INDEX = 3, 2
 OPTIONS = DemoSettings(trajectory=f"{LABEL}/{INDEX}", seed=3, markers=True)

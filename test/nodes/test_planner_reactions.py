@@ -13,7 +13,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
 from planner_client import NS, Answer, PlannerClient, least_gap_m, nobody, somebody, voxels_near
 
 from humanpred_ros.nodes import conversions
-from humanpred_ros.nodes.stomp_planner import StompPlannerSettings
+from humanpred_ros.nodes.planner_settings import StompPlannerSettings
 
 SCENE = load_scene("face_to_face")
 PERIOD_S, SEPARATION_M = 0.2, 0.05

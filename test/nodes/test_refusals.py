@@ -252,14 +252,16 @@ def test_the_planner_holds_on_occupancy_it_cannot_use(ros: Callable[..., Any]) -
     node.decision_publisher.publish = decisions.append
     node.trajectory_publisher.publish = trajectories.append
     node.on_occupancy(cloud(1 * NS))
-    assert decisions == []  # without the arm's joints there is nothing to plan from
+    # Without the arm's joints there is nothing to plan from.
+    assert [decision.status[0].message for decision in decisions] == ["hold"]
+    decisions.clear()
     assert node.refused["no arm"] == 1
     arm = conversions.joint_state(node.replanner.joint_names, SCENE.start, 1)
     arm.position[2] = np.nan
     node.on_joint_state(arm)
-    assert node.arm_q is None
+    assert node.arm.q is None
     node.on_joint_state(conversions.joint_state(node.replanner.joint_names[:-1], SCENE.start[:-1], 1))
-    assert node.arm_q is None
+    assert node.arm.q is None
     node.on_joint_state(conversions.joint_state(node.replanner.joint_names, SCENE.start, 1))
 
     node.on_occupancy(cloud(1 * NS))

@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
 import reference
 
-from humanpred_ros.nodes.stomp_planner import StompPlannerSettings
+from humanpred_ros.nodes.planner_settings import StompPlannerSettings
 from humanpred_ros.settings import facts_of
 
 NODES = reference.node_settings()

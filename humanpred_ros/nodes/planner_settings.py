@@ -1,0 +1,59 @@
+"""Parameters of `stomp_planner`: the replanner's and STOMP's, and when the node holds."""
+
+from __future__ import annotations
+
+from humanpred_ros.planning.following import FollowingSettings
+from humanpred_ros.planning.replanner_config import ReplannerConfig
+from humanpred_ros.plugins import Given
+from humanpred_ros.settings import Settings, setting, setting_of
+from humanpred_ros.stomp.config import StompConfig
+
+
+class StompPlannerSettings(Settings):
+    """Parameters of `stomp_planner`."""
+
+    scene: str = setting("face_to_face", "scene name in config/scenes, or a YAML file")
+    period_s: float = setting_of(ReplannerConfig, "period_s")
+    seed: int = setting_of(ReplannerConfig, "seed")
+    threads: int = setting_of(ReplannerConfig, "threads")
+    waypoints: int = setting_of(StompConfig, "waypoints")
+    iterations: int = setting_of(StompConfig, "iterations", low=1)
+    rollouts: int = setting_of(
+        StompConfig, "rollouts", description="noisy rollouts per iteration, half of them reused", low=2
+    )
+    noise_std: float = setting_of(StompConfig, "noise_std")
+    cost_terms: tuple[str, ...] = setting_of(ReplannerConfig, "cost_terms")
+    noise_decay: float = setting_of(StompConfig, "noise_decay")
+    velocity_scale: float = setting_of(ReplannerConfig, "velocity_scale")
+    acceleration_limit: float = setting_of(ReplannerConfig, "acceleration_limit")
+    min_improvement: float = setting_of(ReplannerConfig, "min_improvement")
+    padding_m: float = setting_of(ReplannerConfig, "padding_m")
+    human_margin_m: float = setting_of(ReplannerConfig, "human_margin_m")
+    min_separation_m: float = setting_of(ReplannerConfig, "min_separation_m")
+    likely_probability: float = setting_of(ReplannerConfig, "likely_probability")
+    controller: str = setting("", "node that must be listening to the trajectories before this one is ready")
+    listener: str = setting("", "node that must be listening to the decisions before this one is ready")
+    max_human_age_s: float = setting(0.5, "older human occupancy leads to a hold", unit="s", low=0.02, high=60.0)
+    max_ahead_s: float = setting(
+        0.05, "human data with a stamp farther ahead of the clock are invalid", unit="s", low=0.0, high=10.0
+    )
+    max_arm_age_s: float = setting(
+        0.5, "an arm whose joint states have not come for so long is silent: a hold", unit="s", low=0.02, high=60.0
+    )
+    follow_tolerance_rad: float = setting_of(FollowingSettings, "follow_tolerance_rad")
+    follow_lag_s: float = setting_of(FollowingSettings, "follow_lag_s")
+    start_slack_rad: float = setting(
+        0.01, "an arm so little outside its joint limits is planned for from within them", unit="rad", low=0.0, high=0.2
+    )
+    stomp_share: float = setting(
+        0.6,
+        "share of a step after which STOMP must stop in real time, with many goals; sooner with few",
+        low=0.05,
+        high=0.95,
+    )
+    lossless: bool = setting(False, "subscribe reliably and keep every occupancy (stepped runs)")
+
+    def replanner_config(self, cost_terms: Given | None = None) -> ReplannerConfig:
+        """Return the replanner's settings these parameters, and those of cost terms, stand for."""
+        stomp = self.part(StompConfig, reused=self.rollouts // 2)
+        return self.part(ReplannerConfig, stomp=stomp, cost_term_settings=dict(cost_terms or {}))
