@@ -165,7 +165,8 @@ class GraphNode(Node):
                 for name, text in heard.facts(now_s).items()
             },
             **self.facts(),
-            **{f"refused/{kind}": str(count) for kind, count in self.refused.items()},
+            # Copies: other threads of a node refuse, too.
+            **{f"refused/{kind}": str(count) for kind, count in dict(self.refused).items()},
             **{f"warning/{about}": text for about, text in self.warnings.items()},
         }
         status = DiagnosticStatus(

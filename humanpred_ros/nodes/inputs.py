@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
@@ -65,17 +66,18 @@ class Input:
         while self._newest and now_s - self._newest[0][0] > WINDOW_S:
             self._newest.popleft()
         facts = {"age_s": f"{now_s - self.came_s:.3f}", "rate_hz": "0.0"}
-        if self._newest:
-            latencies_ms = 1e3 * np.array([latency_s for _, latency_s in self._newest])
-            span_s = max(now_s - self._newest[0][0], 1e-9)
-            facts["rate_hz"] = f"{(len(self._newest) - 1) / span_s:.1f}"
+        newest = list(self._newest)  # another thread may be adding to them
+        if newest:
+            latencies_ms = 1e3 * np.array([latency_s for _, latency_s in newest])
+            span_s = max(now_s - newest[0][0], 1e-9)
+            facts["rate_hz"] = f"{(len(newest) - 1) / span_s:.1f}"
             facts["latency_ms"] = f"{np.median(latencies_ms):.2f}"
             facts["latency_largest_ms"] = f"{latencies_ms.max():.2f}"
         return facts
 
 
 class Refusals:
-    """Counts what was refused, by kind.
+    """Counts what was refused, by kind; from any thread.
 
     Attributes:
         counts: since the node began.
@@ -85,22 +87,25 @@ class Refusals:
         self.counts: Counter[str] = Counter()
         self._last_s: dict[str, float] = {}
         self._told: Counter[str] = Counter()
+        self._lock = threading.Lock()
 
     def add(self, reason: str) -> str:
         """Count a refusal; return what there is to say of it: only of a kind that has not come lately."""
         kind, now_s = kind_of(reason), time.monotonic()
-        new = now_s - self._last_s.get(kind, -math.inf) > RECENT_S
-        before = self.counts[kind] - self._told[kind]
-        self.counts[kind] += 1
-        self._last_s[kind] = now_s
-        if not new:
-            return ""
-        self._told[kind] = self.counts[kind]
+        with self._lock:
+            new = now_s - self._last_s.get(kind, -math.inf) > RECENT_S
+            before = self.counts[kind] - self._told[kind]
+            self.counts[kind] += 1
+            self._last_s[kind] = now_s
+            if not new:
+                return ""
+            self._told[kind] = self.counts[kind]
         return f"refused {one_line(reason)}" + (f" (after {before} others of this kind, not logged)" if before else "")
 
     def recent(self) -> bool:
         """Return whether something was refused in the last seconds."""
-        return time.monotonic() - max(self._last_s.values(), default=-math.inf) <= RECENT_S
+        with self._lock:
+            return time.monotonic() - max(self._last_s.values(), default=-math.inf) <= RECENT_S
 
 
 class Change:

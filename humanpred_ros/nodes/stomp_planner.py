@@ -23,7 +23,7 @@ from humanpred_ros.geometry import compiled
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
-from humanpred_ros.nodes.inputs import kind_of
+from humanpred_ros.nodes.inputs import Input, kind_of
 from humanpred_ros.nodes.markers import candidate_markers, rollout_markers
 from humanpred_ros.nodes.measured_arm import MeasuredArm
 from humanpred_ros.nodes.parameters import declare, plugin_parameters
@@ -92,6 +92,7 @@ class StompPlannerNode(GraphNode):
         self.listen(JointState, topics.JOINT_STATES, self.on_joint_state, qos.ARM, max_age_s=arm_age_s)
         profile = qos.sensor_subscription(settings.lossless, newest_only=True)
         self.listen(PointCloud2, topics.OCCUPANCY, self.on_occupancy, profile, max_age_s=human_age_s)
+        self.answers = Input(topics.DECISION)
         self._closing, self._asked = threading.Event(), threading.Event()
         # With how many holds there were before it came: an older one ends none.
         self._newest: deque[tuple[Occupancy, int, float, int]] = deque(maxlen=1)
@@ -120,7 +121,11 @@ class StompPlannerNode(GraphNode):
         return "planning" if self.begun else super().working()
 
     def facts(self) -> dict[str, str]:
-        return {"following_error_rad": f"{self.arm.following.error_rad:.4f}"} if self.begun else {}
+        if not self.begun:
+            return {}
+        answers = self.answers.facts(time.monotonic())
+        error_rad = f"{self.arm.following.error_rad:.4f}"
+        return {"following_error_rad": error_rad, **{f"answers/{name}": text for name, text in answers.items()}}
 
     def close(self) -> None:
         self._closing.set()
@@ -313,6 +318,7 @@ class StompPlannerNode(GraphNode):
             if n_holds != self.n_holds and decision.action != HOLD:
                 decision = self._hold(self.hold_reason)
             self.publish(decision, stamp_ns, received_s)
+        self.answers.handled(time.monotonic(), time.perf_counter() - received_s)
 
     def decide(self, occupancy: Occupancy) -> Decision:
         """Replan when a step is due or called for; a plan that comes too late to be switched to is not sent.
