@@ -47,6 +47,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "bench planner": ("evaluation.planner_bench:measure", "time per goal beside the C++ floor"),
     "bench graph": ("evaluation.graph_bench:measure", "posture to trajectory over DDS at 30 Hz, per number of goals"),
     "bench faults": ("nodes.fault_bench:run", "what the running graph does when something goes wrong, fault by fault"),
+    "bench fuzz": ("evaluation.fuzz_files:run", "damaged files of every kind, and damaged messages to every node"),
     "bag check": ("commands:bag_check", "read a bag completely, with checksums"),
     "bag salvage": ("commands:bag_salvage", "copy what is intact in a damaged bag to a new one"),
 }

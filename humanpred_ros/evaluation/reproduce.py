@@ -40,7 +40,7 @@ def replay_run(folder: Path, out: Path) -> Comparison:
     info = recorded.metadata.get("run")
     if info is None:
         raise BagError(f"{folder / 'bag'}: wanted a bag made by `humanpred demo`, this one has no record named run")
-    planner = _planner_parameters(folder, info)
+    planner = planner_parameters(folder, info)
     with NodeGroup(out.parent / f"{out.name}_logs", free_domain_id()) as group:
         group.start(
             "run_recorder",
@@ -60,7 +60,7 @@ def replay_run(folder: Path, out: Path) -> Comparison:
     return compare_bags(recorded, BagReader(out))
 
 
-def _planner_parameters(folder: Path, info: Mapping[str, str]) -> dict[str, Any]:
+def planner_parameters(folder: Path, info: Mapping[str, str]) -> dict[str, Any]:
     """Return what the planner of a recorded run was told, as the run's facts say; refused before any node starts."""
     terms = tuple(info.get("cost_terms", " ".join(ReplannerConfig().cost_terms)).split())
     try:
