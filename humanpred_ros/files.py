@@ -26,6 +26,7 @@ from humanpred_ros.errors import HumanPredError
 
 #: Sizes up to which files are read, in bytes.
 YAML_BYTES, JSON_BYTES, TEXT_BYTES, ARCHIVE_BYTES = 1 << 20, 16 << 20, 64 << 20, 1 << 30
+_BLOCK_BYTES = 1 << 20
 #: Values nested deeper than this, or more of them with aliases written out, are in no file that people wrote.
 _DEPTH, _VALUES = 30, 200_000
 #: No number of an archive is larger: metres, radians, seconds, counts and log densities are far below.
@@ -67,13 +68,15 @@ def open_plain(path: Path, error: type[HumanPredError]) -> IO[bytes]:
 def read_bytes(path: Path, most: int, error: type[HumanPredError]) -> bytes:
     """Return the content of a plain file of up to `most` bytes; raises `error` for anything else."""
     with open_plain(path, error) as stream:
+        data = bytearray()
         try:
-            data = stream.read(most + 1)
+            while len(data) <= most and (block := stream.read(_BLOCK_BYTES)):  # a size asked for is taken at once
+                data += block
         except OSError as trouble:
             raise error(f"{path}: could not be read ({trouble.strerror}); check that it is there") from trouble
     if len(data) > most:
         raise error(f"{path}: could not be read: wanted at most {most >> 20} MiB, it is larger; cut it into parts")
-    return data
+    return bytes(data)
 
 
 def read_text(path: Path, error: type[HumanPredError], most: int = TEXT_BYTES) -> str:

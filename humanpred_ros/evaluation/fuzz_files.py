@@ -205,7 +205,7 @@ class _Worker:
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, self.place / "samples", self.folder), daemon=True)
+        self._process = context.Process(target=_serve, args=(theirs, self.place / "samples", self.folder))
         self._process.start()
         theirs.close()
         ready = self._connection.recv() if self._connection.poll(_PATIENCE_S) else "no answer"
@@ -213,13 +213,13 @@ class _Worker:
             raise RuntimeError(f"a worker could not read the samples: {ready}")
 
     def _ask(self, number: int, kind: str, seed: int) -> _REPLY:
-        self._connection.send((number, kind, seed))
-        if not self._connection.poll(_PATIENCE_S):
-            return f"failed: no end after {_PATIENCE_S:.0f} s", _PATIENCE_S
         try:
+            self._connection.send((number, kind, seed))
+            if not self._connection.poll(_PATIENCE_S):
+                return f"failed: no end after {_PATIENCE_S:.0f} s", _PATIENCE_S
             reply: _REPLY = self._connection.recv()
             return reply
-        except EOFError:
+        except (EOFError, BrokenPipeError):
             self._process.join()
             return f"failed: it ended the process with status {self._process.exitcode}", 0.0
 

@@ -237,7 +237,8 @@ def _read_run(folder: Path, out: Path, number: int) -> None:
 
 
 def _read_setting(folder: Path, out: Path, number: int) -> None:
-    given_settings([(folder / "words.txt").read_text(encoding="utf-8", errors="surrogateescape")])
+    path = folder / "words.txt"  # stands for a word of the command line
+    given_settings([path.read_text(encoding="utf-8", errors="surrogateescape") if path.is_file() else ""])
 
 
 #: What is done with a file of each kind: the folder with the sample, a folder to write into that is not there, number.

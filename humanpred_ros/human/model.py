@@ -30,6 +30,9 @@ HUMANS = {
 #: Frames of the trackers that see them so, where nobody says otherwise.
 TRACKER_FRAMES = {"kinect12": "kinect", "mocap23": "mocap"}
 
+#: Bodies of people are smaller, and have fewer parts.
+_LARGEST_M, _MOST = 5.0, 300
+
 T = TypeVar("T", bound=np.generic)
 
 
@@ -80,6 +83,13 @@ class HumanModel:
                 )
         if not said.joint_names:
             raise HumanModelError(f"human model {self.name}: wanted at least one moving joint, got none")
+        lengths = [float(x) for body in said.bodies for x in (*vars(body.shape).values(), *body.T_link_body[:3, 3])]
+        lengths += [*said.T_parent_joint[:, :3, 3].ravel(), *said.T_joint_link[:, :3, 3].ravel()]
+        if max(map(abs, lengths), default=0.0) > _LARGEST_M or max(len(said.joint_names), len(said.bodies)) > _MOST:
+            raise HumanModelError(
+                f"human model {self.name}: wanted lengths up to {_LARGEST_M:g} m, and up to {_MOST} joints and bodies, "
+                "got more; a person is smaller"
+            )
         self.dof_names: tuple[str, ...] = said.joint_names
         self.bodies: tuple[Body, ...] = said.bodies
         self.lower, self.upper = _readonly(said.lower), _readonly(said.upper)

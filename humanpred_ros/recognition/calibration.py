@@ -104,7 +104,7 @@ class Novelty:
     _columns: Float32Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        checked("novelty weights", self.weights, (4,))
+        object.__setattr__(self, "weights", checked("novelty weights", self.weights, (4,)))
         for name in ("points", "first", "weights"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "_columns", np.ascontiguousarray(self.points.T))

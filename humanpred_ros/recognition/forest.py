@@ -85,7 +85,7 @@ class Exemplars:
             or self.features.shape != (n_postures, N_FEATURES)
         ):
             raise ArrayError("exemplars: wanted arrays that agree on the numbers of motions and postures")
-        checked("exemplars' start poses", self.start_pose, (n_motions, 3))
+        object.__setattr__(self, "start_pose", checked("exemplars' start poses", self.start_pose, (n_motions, 3)))
         for name in ("label", "first", "q", "features", "start_pose"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 

@@ -266,6 +266,8 @@ class ForestClassifier(Classifier):
         weight = np.zeros(len(model.exemplars.q))
         add_resemblance(self._leaves[0], *model.forest.leaf_members, weight)
         similar = np.flatnonzero(weight)
+        if not len(similar):  # of a model from elsewhere: leaves that no exemplar falls into
+            return weight
         difference = _moment(model.exemplars.features[similar]) - _moment(self._x)
         square = (difference**2).sum(axis=1)
         # As wide as the twentieth nearest, so that there always are some.

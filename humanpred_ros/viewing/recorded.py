@@ -40,8 +40,10 @@ class JointTrack:
 
     def at(self, t_s: FloatArray) -> FloatArray:
         """Return (N, J) positions at times (N,), linear between samples; NaN outside the recorded time."""
-        q = [np.interp(t_s, self.t_s, column, left=np.nan, right=np.nan) for column in self.q.T]
-        return np.stack(q, axis=1) if len(self) else np.full((len(t_s), self.q.shape[1]), np.nan)
+        q = np.full((len(t_s), self.q.shape[1]), np.nan)
+        for k in range(q.shape[1] if len(self) else 0):
+            q[:, k] = np.interp(t_s, self.t_s, self.q[:, k], left=np.nan, right=np.nan)
+        return q
 
     @property
     def motion_end_s(self) -> float:
