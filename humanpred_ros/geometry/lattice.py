@@ -64,6 +64,9 @@ class VoxelGrid:
         return mask.reshape(self.shape)
 
 
+_BITS_OF_ONE = np.float32(1.0).view(np.uint32)
+
+
 @dataclass(frozen=True)
 class Occupancy:
     """Probability that the human occupies each voxel.
@@ -82,8 +85,8 @@ class Occupancy:
         p = np.asarray(self.probability, dtype=np.float32)
         if p.shape != self.grid.shape:
             raise ArrayError(f"occupancy: wanted probabilities of shape {self.grid.shape}, got {p.shape}")
-        # NaN fails both comparisons, so it is refused here too.
-        if not (p.min() >= 0.0 and p.max() <= 1.0):
+        # Numbers from 0 to 1 are ordered as their bits are; all others, NaN too, have larger ones, but so has -0.
+        if p.view(np.uint32).max() > _BITS_OF_ONE and not (p.min() >= 0.0 and p.max() <= 1.0):
             raise ArrayError(f"occupancy: wanted probabilities within [0, 1], got {p.min()} to {p.max()}")
         object.__setattr__(self, "probability", p)
 

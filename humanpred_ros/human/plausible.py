@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from humanpred_ros.geometry.chain_kernels import link_poses
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.joints import KIND
 from humanpred_ros.geometry.lattice import VoxelGrid
@@ -99,6 +100,7 @@ class PlausibilityCheck:
         _, self._links = np.unique(human.link_poses(zero)[:, :3, 3].round(9), axis=0, return_index=True)
         pelvis = human.link_names.index(_PELVIS)
         self._links = np.array([pelvis, *(k for k in self._links if k != pelvis)])
+        self._joint, self._T_joint = human.link_joint[self._links], human.T_joint_link[self._links]
         self._most_m_s = np.full(len(self._links), self.settings.max_hand_speed_m_s)
         self._most_m_s[0] = self.settings.max_pelvis_speed_m_s
         self.start()
@@ -131,7 +133,7 @@ class PlausibilityCheck:
         """
         found = self._beyond_limits(q)
         if found is None:
-            places = self.human.link_poses(q)[self._links, :3, 3]
+            places = self._places(q)
             found = self._outside(places[0]) or self._jump(t_s, places)
             self._recent.append((t_s, places))
             frozen = self._frozen(q, t_s, held)
@@ -145,8 +147,16 @@ class PlausibilityCheck:
             return Refusal(self._doubt, f"believed again after {self.settings.settle_s:g} s without one")
         return None
 
+    def _places(self, q: FloatArray) -> FloatArray:
+        """Return where the links are (L, 3), the pelvis first, tracker's frame."""
+        poses = link_poses(np.array(q[None]), self.human.joints, self._joint, self._T_joint)
+        places: FloatArray = poses[0, :, :3, 3]
+        return places
+
     def _beyond_limits(self, q: FloatArray) -> Refusal | None:
         """Return the joint that is farthest beyond its limits; angles count up to whole turns."""
+        if ((q >= self._lower) & (q <= self._upper)).all():
+            return None
         turned = np.where(self._slide, q, _into(q, self.human.lower, self.human.upper))
         beyond = np.maximum(self._lower - turned, turned - self._upper)
         if not (beyond > 0.0).any():
@@ -167,7 +177,7 @@ class PlausibilityCheck:
             for factor, unit in units.items():
                 smaller = np.where(alike, q / factor, np.clip(q, self._lower, self._upper))
                 if ((smaller >= self._lower) & (smaller <= self._upper)).all() and not (
-                    self._slide[worst] and self._outside(self.human.link_poses(smaller)[self._links[0], :3, 3])
+                    self._slide[worst] and self._outside(self._places(smaller)[0])
                 ):
                     return Refusal("units", f"{text}; in {unit}, perhaps")
         return Refusal("joint limit", text)
@@ -229,14 +239,16 @@ class PlausibilityCheck:
             self._changes[changed] += 1
         self._q = q
         # A posture that was there before is not new, even if others came between.
-        alike = self._known[np.abs(self._known[:, 0] - q[0]) <= s.frozen_change]
-        if not (np.abs(alike - q) <= s.frozen_change).all(axis=1).any():
+        alike = np.flatnonzero(np.abs(self._known[:, 0] - q[0]) <= s.frozen_change)
+        if not (len(alike) and (np.abs(self._known[alike] - q) <= s.frozen_change).all(axis=1).any()):
             self._known[self._next % _KNOWN], self._next, self._new_s = q, self._next + 1, t_s
         if t_s - self._new_s >= s.frozen_s:
             return Refusal("frozen", f"wanted postures that change, got the same ones for {t_s - self._new_s:.1f} s")
         # Joints stand still at their limits; those that a tracker does not see never changed.
-        at_limit = (q <= self.human.lower + s.frozen_change) | (q >= self.human.upper - s.frozen_change)
-        lost = (t_s - self._changed_s >= s.frozen_s) & (self._changes >= _USED_TO) & ~at_limit
+        lost = (self._changed_s <= t_s - s.frozen_s) & (self._changes >= _USED_TO)
+        if not lost.any():
+            return None
+        lost &= (q > self.human.lower + s.frozen_change) & (q < self.human.upper - s.frozen_change)
         if lost.sum() < _LOST_DOFS:
             return None
         names = ", ".join(name for name, gone in zip(self.human.dof_names, lost, strict=True) if gone)

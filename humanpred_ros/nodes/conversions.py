@@ -5,6 +5,7 @@ from __future__ import annotations
 import array
 import json
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -91,15 +92,20 @@ def _places_of(message: JointState, names: Sequence[str]) -> dict[str, int]:
     return where
 
 
+@lru_cache
+def _float_fields(names: tuple[str, ...]) -> tuple[PointField, ...]:
+    """Return the fields of clouds of float32 numbers; every message holds the same ones."""
+    return tuple(
+        PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1) for k, name in enumerate(names)
+    )
+
+
 def _cloud(columns: NDArray[Any], t_ns: int, frame_id: str) -> PointCloud2:
     """Return an unordered cloud of a structured array, one point per element, float32 fields."""
     message = PointCloud2(
         height=1,
         width=len(columns),
-        fields=[
-            PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1)
-            for k, name in enumerate(columns.dtype.names or ())
-        ],
+        fields=list(_float_fields(columns.dtype.names or ())),
         point_step=columns.dtype.itemsize,
         row_step=columns.nbytes,
         is_dense=True,
@@ -114,8 +120,12 @@ def occupancy_cloud(occupancy: Occupancy, threshold: float, t_ns: int, frame_id:
     """Return the voxel centres with a probability above `threshold` as x, y, z, probability."""
     flat = occupancy.voxels_above(threshold)
     points = np.empty(len(flat), dtype=[(name, "<f4") for name in ("x", "y", "z", "probability")])
-    centres = occupancy.grid.centres_m(flat)
-    points["x"], points["y"], points["z"] = centres[:, 0], centres[:, 1], centres[:, 2]
+    grid = occupancy.grid
+    for name, index, origin_m, n in zip(
+        "xyz", np.unravel_index(flat, grid.shape), grid.origin_m, grid.shape, strict=True
+    ):
+        # As `VoxelGrid.centres_m`, but once for each layer instead of once for each voxel.
+        points[name] = (origin_m + (np.arange(n) + 0.5) * grid.resolution_m).astype(np.float32)[index]
     points["probability"] = occupancy.probability.ravel()[flat]
     return _cloud(points, t_ns, frame_id)
 

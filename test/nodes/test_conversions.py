@@ -105,7 +105,7 @@ def test_times_stay_strictly_increasing_on_the_wire(seed: int, apart_s: float) -
     t = rng.uniform(0.0, 100.0) + np.cumsum(rng.uniform(0.01, 1.0, 12) * apart_s)
     t = np.unique(t)  # steps below float64's resolution are gone
     q = rng.normal(size=(len(t), 2))
-    origin_ns = int(rng.integers(0, 2**61))
+    origin_ns = int(rng.integers(0, 2**60))
     message = conversions.trajectory_message(("a", "b"), TimedTrajectory(t, q, 0.0 * q, 0.0 * q), origin_ns)
     assert conversions.controller_refusal(message, ("a", "b")) == ""
     assert conversions.stamp_ns(message.header.stamp) == origin_ns + round(float(t[0]) * 1e9)
