@@ -44,7 +44,7 @@ from humanpred_ros.evaluation.spoilt_messages import (
     with_points,
     with_value,
     without_last,
-)  # fmt: skip
+)
 from humanpred_ros.geometry.lattice import VoxelGrid
 
 TRACKER, PREDICTOR, PLANNER = "skeleton_tracker_replay", "occupancy_predictor", "stomp_planner"
