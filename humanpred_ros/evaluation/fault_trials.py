@@ -25,6 +25,8 @@ CALM_S = 0.5
 WORKING = ("keep", "replan", "evade", "arrived")
 #: Decisions and joint states on their way when a fault is put in are not held against anybody, s.
 _GRACE_S = 0.2
+#: A joint state tells where the arm was so much earlier or later, s.
+_SAME_TIME_S = 0.05
 #: A hold may be so much older than what /diagnostics says, s: it is published five times a second.
 _STATUS_S = 0.5
 #: How a row ends.
@@ -41,18 +43,20 @@ class TimedText(NamedTuple):
 
 
 class ArmState(NamedTuple):
-    """Where the arm was, and the speed of its fastest joint, rad/s."""
+    """Where the arm was (D,), rad, the speed of its fastest joint, rad/s, and the stamp of that, s."""
 
     t_s: float
     q: FloatArray
     speed: float
+    stamp_s: float
 
 
 class Command(NamedTuple):
-    """A trajectory: how far from the arm it begins, rad, and how long it lasts, s."""
+    """A trajectory: where it begins (D,), rad, and when, by its stamp, s; how long it lasts, s."""
 
     t_s: float
-    gap_rad: float
+    first: FloatArray
+    stamp_s: float
     lasts_s: float
 
 
@@ -66,16 +70,18 @@ class Heard:
     diagnostics: list[TimedText] = field(default_factory=list)
     travelled_rad: float = 0.0  #: way of the joint that moved most, from one joint state to the next, summed up
 
-    def see_arm(self, t_s: float, q: FloatArray, speed: float) -> None:
+    def see_arm(self, t_s: float, q: FloatArray, speed: float, stamp_s: float) -> None:
         """Add a joint state."""
         if self.arm:
             self.travelled_rad += float(np.abs(q - self.arm[-1].q).max())
-        self.arm.append(ArmState(t_s, q, speed))
+        self.arm.append(ArmState(t_s, q, speed, stamp_s))
 
-    def see_trajectory(self, t_s: float, first: FloatArray, lasts_s: float) -> None:
-        """Add a trajectory that begins at `first` (D,)."""
-        gap = float(np.abs(first - self.arm[-1].q).max()) if self.arm else math.nan
-        self.commands.append(Command(t_s, gap, lasts_s))
+    def gap_rad(self, command: Command) -> float:
+        """Return how far a trajectory begins from where the arm was measured then; 0 if it was not."""
+        state = min(list(self.arm), key=lambda state: abs(state.stamp_s - command.stamp_s), default=None)
+        if state is None or abs(state.stamp_s - command.stamp_s) > _SAME_TIME_S:
+            return 0.0
+        return float(np.abs(command.first - state.q).max())
 
     def forget(self) -> None:
         """Begin anew, but for where the arm is and how long it is going to move."""
@@ -177,7 +183,7 @@ def judged(heard: Heard, bounds: Bounds, began_s: float, ended_s: float, recover
     hold = _first_that_says(holds, bounds.reasons)
     said = hold or _first_that_says(told, bounds.reasons)
     rest_s = heard.rest_s(began_s, ended_s)
-    gaps = [c.gap_rad for c in list(heard.commands) if began_s + _GRACE_S <= c.t_s <= until_s]
+    gaps = [heard.gap_rad(c) for c in list(heard.commands) if began_s + _GRACE_S <= c.t_s <= until_s]
     speed = next((state.speed for state in heard.arm if state.t_s >= began_s), math.nan)
     trial = Trial(
         None if hold is None else hold.t_s - began_s,

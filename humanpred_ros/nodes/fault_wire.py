@@ -27,7 +27,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from humanpred_ros import topics
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.fault_trials import Heard, TimedText
+from humanpred_ros.evaluation.fault_trials import Command, Heard, TimedText
 from humanpred_ros.evaluation.faults import POSTURES, wired
 from humanpred_ros.evaluation.processes import ParameterValue
 from humanpred_ros.evaluation.spoilt_messages import Spoil
@@ -141,13 +141,16 @@ class Wire:
         q = conversions.ordered_positions(message, self._joint_names)
         v = conversions.ordered_velocities(message, self._joint_names)
         speed = 0.0 if v is None else float(np.abs(v).max())
-        self.heard.see_arm(time.monotonic(), q + self.arm_offset_rad, speed)
+        stamp_s = conversions.stamp_ns(message.header.stamp) * 1e-9
+        self.heard.see_arm(time.monotonic(), q + self.arm_offset_rad, speed, stamp_s)
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         column = [list(message.joint_names).index(name) for name in self._joint_names]
         first = np.asarray(message.points[0].positions)[column]
-        lasts_s = conversions.stamp_ns(message.points[-1].time_from_start) * 1e-9
-        self.heard.see_trajectory(time.monotonic(), first, lasts_s)
+        stamp_s, lasts_s = (
+            conversions.stamp_ns(stamp) * 1e-9 for stamp in (message.header.stamp, message.points[-1].time_from_start)
+        )
+        self.heard.commands.append(Command(time.monotonic(), first, stamp_s, lasts_s))
 
     def _on_decision(self, message: DiagnosticArray) -> None:
         head = message.status[0]

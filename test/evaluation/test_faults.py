@@ -12,7 +12,7 @@ from rich.console import Console
 
 from humanpred_ros.cli import parse
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.fault_trials import GOES_ON, HOLDS, OPEN, Bounds, Heard, TimedText, Trial, judged
+from humanpred_ros.evaluation.fault_trials import GOES_ON, HOLDS, OPEN, Bounds, Command, Heard, TimedText, Trial, judged
 from humanpred_ros.evaluation.faults import FAULTS, SHORT
 from humanpred_ros.nodes.fault_bench import Row
 
@@ -29,13 +29,13 @@ def heard(
     """Return what comes of a fault at 10 s: the arm moves at 0.2 rad/s until it rests, and again from 12 s on."""
     found = Heard()
     for t_s in np.arange(9.0, 12.5, 0.01):
-        found.see_arm(float(t_s), np.full(2, t_s), 0.2 if t_s < rests_at or t_s > BACK else 0.0)
+        found.see_arm(float(t_s), np.full(2, t_s), 0.2 if t_s < rests_at or t_s > BACK else 0.0, float(t_s))
         if round(t_s * 100) % 3 == 0 and (t_s < BEGAN or t_s > ENDED):
             found.decisions.append(TimedText(float(t_s), "keep", "no replanning step is due", 0.02))
     found.decisions.append(TimedText(10.5, "hold", reason, 0.5))
     found.decisions.sort()
     found.diagnostics.append(TimedText(11.2, "stomp_planner", f"holding: {reason}", level))
-    found.see_trajectory(10.5, found.arm[-1].q + gap_rad, 1.0)
+    found.commands.append(Command(10.5, np.full(2, 10.5) + gap_rad, 10.5, 1.0))
     return found
 
 
