@@ -19,8 +19,6 @@ from humanpred_ros.geometry.checks import FloatArray
 REST_SPEED, REST_S = 0.01, 0.2
 #: An arm with a faster joint is moving; a fault is put in when it is on its way in earnest, rad/s.
 MOVING_SPEED, ON_ITS_WAY_SPEED = 0.05, 0.15
-#: A fault is put in when no hold has come for so long, s.
-CALM_S = 0.5
 #: What the planner answers when it has looked at human data and lets the arm work.
 WORKING = ("keep", "replan", "evade", "arrived")
 #: Decisions and joint states on their way when a fault is put in are not held against anybody, s.
@@ -100,7 +98,7 @@ class Heard:
             return False
         command, decision = self.commands[-1], self.decisions[-1]
         answered = decision.name in WORKING and now_s - decision.t_s < REST_S
-        undisturbed = all(entry.name != "hold" or entry.t_s < now_s - CALM_S for entry in list(self.decisions))
+        undisturbed = all(entry.name != "hold" or entry.t_s < now_s - REST_S for entry in list(self.decisions))
         return answered and undisturbed and command.t_s + command.lasts_s - now_s > for_s
 
     def working_since(self, t_s: float) -> bool:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.fault_trials import CALM_S, HOLDS, OPEN, Bounds, Trial, judged
+from humanpred_ros.evaluation.fault_trials import HOLDS, OPEN, Bounds, Trial, judged
 from humanpred_ros.evaluation.faults import CLOCK, DIRECT, FAULTS, RELAYED, SHORT, Fault
 from humanpred_ros.evaluation.framework import Begin, Column, OutputSettings, Report, Table, chosen_names, present
 from humanpred_ros.evaluation.outputs import check_writable
@@ -45,6 +45,8 @@ _LOST_S = 1.0
 #: A fault is put in while the arm is going to move for so long yet, s; how long that is waited for.
 _UNDER_WAY_S, _MOVING_LIMIT_S = 1.5, 60.0
 _TRIALS = 2
+#: What a fault leaves behind shows so soon, s.
+_CALM_S = 0.5
 _LONGEST_REASON = 120
 
 
@@ -192,7 +194,7 @@ def _trials(fault: Fault, graph: FaultGraph) -> Iterator[Trial]:
 def _trial(fault: Fault, graph: FaultGraph) -> Trial:
     """Put a fault in while the arm moves, take it away, and wait until the arm works again."""
     wire, heard = graph.wire, graph.wire.heard
-    wire.wait(lambda: False, CALM_S)  # what the last fault left behind shows by then
+    wire.wait(lambda: False, _CALM_S)  # what the last fault left behind shows by then
     if not wire.wait(lambda: heard.under_way(time.monotonic(), _UNDER_WAY_S), _MOVING_LIMIT_S):
         return Trial.not_begun(f"the arm was not on its way within {_MOVING_LIMIT_S:.0f} s")
     bounds = Bounds(

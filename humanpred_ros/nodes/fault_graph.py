@@ -52,8 +52,8 @@ _CLASSES, _GOALS = (3, 5), ("place 3", "place 5")
 _SECONDS, _PAUSE_S, _BETWEEN_S, _NOISE = 600.0, 1.0, 0.5, 1e-4
 #: Of the URDF's limits; slow, so that the arm is on its way for long.
 VELOCITY_SCALE = 0.1
-#: As in the demo, about; on a busy machine a step takes its time.
-PERIOD_S = 0.2
+#: As in the demo, about, and fewer iterations: on a busy machine a step takes its time.
+PERIOD_S, ITERATIONS = 0.2, 20
 #: A simulated clock begins at 1 s; so much later it can be set back, s.
 _CLOCK_BEGINS_S = 1000.0
 _FIRST_START_S, _END_S = 180.0, 10.0
@@ -177,7 +177,7 @@ class FaultGraph:
         if node == PREDICTOR:
             return scene | {"model": str(self._inputs.model), "predictor": DEFAULT_PREDICTOR}
         if node == PLANNER:
-            return scene | {"velocity_scale": VELOCITY_SCALE, "period_s": PERIOD_S}
+            return scene | {"velocity_scale": VELOCITY_SCALE, "period_s": PERIOD_S, "iterations": ITERATIONS}
         relayed = POSTURES in self._relayed
         return {
             "library": str(self._inputs.motion), "trajectory": "0", "hold_last_s": 0.0,
