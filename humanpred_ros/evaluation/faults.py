@@ -55,8 +55,6 @@ POSTURES = topics.human_joint_states("body_0")
 DIRECT, RELAYED, CLOCK = "direct", "relayed", "clock"
 #: Body that the tracker tells of where its postures are relayed.
 TRACKED_BODY = "tracked"
-#: A node is started, and the graph works again, within this time, s; on a busy machine it takes long.
-_START_S = 60.0
 
 
 class Graph(Protocol):
@@ -106,7 +104,6 @@ class Fault:
     rests: bool = True  #: whether the arm must come to rest, in time
     lasts_s: float = 1.2  #: how long the fault is there at least
     patience_s: float = 0.0  #: how much longer it may be there until what is expected has happened
-    recovery_s: float = 20.0  #: longest time until the arm works again
     joins: str = ""  #: node that is started again, and must have spoken before the graph is what it was
     data_age_s: float | None = None  #: greatest age of the data on which the arm may move meanwhile
 
@@ -137,7 +134,7 @@ def _killed(node: str, *reasons: str, **more: Any) -> Fault:
     return Fault(
         f"{NODES[node]} killed and another joins late", DIRECT,
         partial(_signal, node, signal.SIGKILL), lambda g: g.start(node), expected, reasons, lasts_s=3.0,
-        recovery_s=_START_S, joins=node, **more,
+        joins=node, **more,
     )  # fmt: skip
 
 
@@ -154,7 +151,7 @@ def _restarted(node: str, *reasons: str, **more: Any) -> Fault:
     expected = more.pop("expected", "hold until it is back" if more.get("outcome", HOLDS) == HOLDS else "works on")
     return Fault(
         f"{NODES[node]} restarted", DIRECT, partial(_restart, node), _nothing, expected, reasons,
-        recovery_s=_START_S, joins=node, **more,
+        joins=node, **more,
     )  # fmt: skip
 
 
@@ -202,7 +199,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault(
         "disk full", DIRECT, lambda g: g.fill_disk(), partial(_restart, RECORDER),
         "the arm works on; told on /diagnostics; what is there stays readable", ("not recording",), **_WORKS_ON,
-        lasts_s=2.0, joins=RECORDER, recovery_s=_START_S,
+        lasts_s=2.0, joins=RECORDER,
     ),
     Fault(
         "two planners", DIRECT, lambda g: g.start(PLANNER), lambda g: g.end(PLANNER),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -92,3 +93,19 @@ def test_names_are_told_apart_and_unknown_ones_refused(tmp_path: Path) -> None:
     command, settings = parse(["bench", "faults", "--only", "no such fault", "--page", str(tmp_path / "faults.md")])
     with pytest.raises(UsageError, match="no such fault"):
         command(settings, Console(file=io.StringIO()))
+
+
+def test_the_real_graph_fails_closed(tmp_path: Path) -> None:
+    pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
+    out = tmp_path / "faults.json"
+    command, settings = parse(["bench", "faults", "--short", "--json", str(out), "--keep", str(tmp_path / "kept")])
+    command(settings, Console(file=io.StringIO()))
+    rows = json.loads(out.read_text())["faults"]
+    assert [row["fault"] for row in rows] == list(SHORT)
+    for row in rows:
+        assert len(row["trials"]) == 2
+        for trial in row["trials"]:
+            # How soon depends on the machine: `humanpred bench faults` tells.
+            untimely = [text for text in trial["problems"] if "rested after" not in text]
+            assert not untimely, row
+            assert trial["reason"], row
