@@ -25,6 +25,8 @@ WORKING = ("keep", "replan", "evade", "arrived")
 _GRACE_S = 0.2
 #: A joint state tells where the arm was so much earlier or later, s.
 _SAME_TIME_S = 0.05
+#: Two messages of one moment come within this time of each other, s.
+_LATELY_S = 1.0
 #: A hold may be so much older than what /diagnostics says, s: it is published five times a second.
 _STATUS_S = 0.5
 #: How a row ends.
@@ -76,7 +78,9 @@ class Heard:
 
     def gap_rad(self, command: Command) -> float:
         """Return how far a trajectory begins from where the arm was measured then; 0 if it was not."""
-        state = min(list(self.arm), key=lambda state: abs(state.stamp_s - command.stamp_s), default=None)
+        # Where a clock was set back, a stamp comes twice.
+        lately = [state for state in list(self.arm) if abs(state.t_s - command.t_s) < _LATELY_S]
+        state = min(lately, key=lambda state: abs(state.stamp_s - command.stamp_s), default=None)
         if state is None or abs(state.stamp_s - command.stamp_s) > _SAME_TIME_S:
             return 0.0
         return float(np.abs(command.first - state.q).max())

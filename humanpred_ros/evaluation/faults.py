@@ -103,7 +103,7 @@ class Fault:
     outcome: str = HOLDS
     rests: bool = True  #: whether the arm must come to rest, in time
     lasts_s: float = 1.2  #: how long the fault is there at least
-    patience_s: float = 0.0  #: how much longer it may be there until what is expected has happened
+    patience_s: float = 3.0  #: how much longer it may be there until what is expected has happened
     joins: str = ""  #: node that is started again, and must have spoken before the graph is what it was
     data_age_s: float | None = None  #: greatest age of the data on which the arm may move meanwhile
 
@@ -143,7 +143,8 @@ def _stopped(node: str, *reasons: str, **more: Any) -> Fault:
     expected = more.pop("expected", what.get(more.get("outcome", HOLDS), ""))
     return Fault(
         f"{NODES[node]} stopped for 2 s", DIRECT, partial(_signal, node, signal.SIGSTOP),
-        partial(_signal, node, signal.SIGCONT), expected, reasons, lasts_s=2.0, **more,
+        partial(_signal, node, signal.SIGCONT), expected, reasons, lasts_s=2.0, patience_s=0.0,
+        **more,
     )  # fmt: skip
 
 
@@ -193,7 +194,7 @@ FAULTS: tuple[Fault, ...] = (
     _stopped(RECORDER, **_WORKS_ON),
     _restarted(TRACKER, *_NO_CLOUD),
     _restarted(PREDICTOR, *_NO_CLOUD),
-    _restarted(PLANNER, **_OPEN, patience_s=20.0),
+    _restarted(PLANNER, "the planner is ended", expected="stops the arm before it ends; goes on from where it is"),
     _restarted(ARM, *_SILENT_OR_ASTRAY),
     _restarted(RECORDER, **_WORKS_ON),
     Fault(
@@ -250,8 +251,8 @@ FAULTS: tuple[Fault, ...] = (
     _of_message("stamps 3 s ahead", POSTURES, always(stamped, by_s=3.0), "stamp ahead"),
     _of_message("postures get lost", POSTURES, lost, *_NO_CLOUD),
     # Clouds.
-    _of_message("empty cloud", topics.OCCUPANCY, always(with_points, b"", 0), "human data"),
-    _of_message("full cloud", topics.OCCUPANCY, full, "human", "person"),
+    _of_message("empty cloud", topics.OCCUPANCY, always(with_points, b"", 0), "empty occupancy"),
+    _of_message("full cloud", topics.OCCUPANCY, full, "human", "person", "overload"),
     _of_message("torn cloud", topics.OCCUPANCY, always(torn), "cloud data"),
     _of_message("cloud that claims 4e9 points", topics.OCCUPANCY, always(claims_more), "cloud data"),
     _of_message("foreign cloud", topics.OCCUPANCY, always(foreign), "cloud fields"),
@@ -280,7 +281,7 @@ FAULTS: tuple[Fault, ...] = (
         "/clock 5 s ahead", CLOCK, lambda g: g.set_clock(5.0), _nothing, "hold; begins anew", ("clock", "stamp",
         "stale", "does not follow"), lasts_s=0.6, rests=False,
     ),
-    _of_message("/clock stands still", topics.CLOCK, lost, "stale", "clock", graph=CLOCK),
+    _of_message("/clock stands still", topics.CLOCK, lost, "stale", "clock", "silent arm", graph=CLOCK),
 )
 # fmt: on
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState, PointCloud2
 from trajectory_msgs.msg import JointTrajectory
@@ -36,6 +37,8 @@ from humanpred_ros.robot.scene import load_scene
 _WATCH_PERIOD_S = 0.02
 #: After an arm did not follow, so long passes before it is commanded again, s.
 _RETRY_S = 1.0
+#: So long the controller is given to take the last stop.
+_LAST_WORD = Duration(seconds=1)
 #: A trajectory that ends sooner could be over before the controller has it, s.
 _LEAST_S = 0.1
 #: Share of a step after its occupancy's stamp that STOMP may take in real time: few goals answer sooner.
@@ -128,6 +131,12 @@ class StompPlannerNode(GraphNode):
         return {"following_error_rad": error_rad, **{f"answers/{name}": text for name, text in answers.items()}}
 
     def close(self) -> None:
+        """Stop the arm, which nobody is going to command any more."""
+        if self.begun and not self.settings.lossless and self.context.ok():
+            with self.replanner.lock:
+                if not self.replanner.at_rest(self.now_s()):
+                    self.publish(self._hold("the planner is ended"), self.last_ns, time.perf_counter())
+            self.trajectory_publisher.wait_for_all_acked(_LAST_WORD)
         self._closing.set()
         self._asked.set()
         for thread in self._threads:

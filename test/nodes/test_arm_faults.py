@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -11,6 +12,7 @@ from humanpred_ros.robot.scene import load_scene
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
 from planner_client import NS, PlannerClient, nobody
+from waiting import wait_until
 
 from humanpred_ros.nodes import conversions
 
@@ -128,3 +130,15 @@ def test_a_second_planner_does_not_command(session: Session) -> None:
     # The first one works on; by now its arm may have arrived.
     decisions, since = session.client.decisions, len(session.client.decisions)
     session.go_on(lambda: any(d.action in ("keep", "replan", "arrived") for d in decisions[since:]), "an answer")
+
+
+def test_a_planner_that_is_ended_stops_the_arm(session: Session) -> None:
+    session.until_moving()
+    client = session.client
+    client.process.process.send_signal(signal.SIGINT)
+
+    def rests() -> bool:
+        client.spin()
+        return client.decisions[-1].reason == "the planner is ended" and not client.controller.v.any()
+
+    wait_until(rests, "the last stop", 30.0)
