@@ -52,15 +52,14 @@ class MeasuredArm:
         joint_names: tuple[str, ...],
         settings: FollowingSettings,
         difference: Callable[[FloatArray, FloatArray], FloatArray],
-        max_age_s: float,
     ) -> None:
-        """Take the joints, the shorter way (D,) between two configurations, and how long silence is none."""
+        """Take the joints and the shorter way (D,) between two configurations."""
         self.following = ArmFollowing(joint_names, settings)
         self.q: FloatArray | None = None
         self.v: FloatArray = np.zeros(len(joint_names))
         self.came_s = time.monotonic()
         self.late_s = 0.0
-        self._names, self._difference, self._max_age_s = joint_names, difference, max_age_s
+        self._names, self._difference = joint_names, difference
         self._delay = Delay()
 
     def take(self, message: Any, now_ns: int) -> bool:
@@ -76,8 +75,6 @@ class MeasuredArm:
         late_s = self._delay.of((now_ns - stamp_ns) * 1e-9, now_s) if stamp_ns else 0.0
         if late_s > _LONGEST_DELAY_S:
             return False
-        if now_s - self.came_s > self._max_age_s:
-            self.following.forget()
         self.came_s, self.late_s = now_s, late_s
         if self.q is not None:
             # A driver that was restarted may count the turns of a continuous joint otherwise.

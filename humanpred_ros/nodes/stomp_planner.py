@@ -72,7 +72,6 @@ class StompPlannerNode(GraphNode):
             self.replanner.joint_names,
             settings.part(FollowingSettings),
             self.replanner.arm.difference,
-            settings.max_arm_age_s,
         )
         self.begun = self.holding = self.told_hold = False
         self.lost_s = 0.0
@@ -370,7 +369,7 @@ class StompPlannerNode(GraphNode):
         if arm_s > settings.max_arm_age_s:
             if replanner.lost:
                 return ""
-            self.lost_s = now_s
+            self.lost_s = -_RETRY_S  # planned for again as soon as it is seen at rest
             replanner.lost = f"silent arm: its joint states have not come for {arm_s:.2f} s"
             return replanner.lost
         if self.holding:

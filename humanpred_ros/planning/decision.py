@@ -164,6 +164,7 @@ class State:
     leads_to: str | None = None  #: goal that the trajectory being executed ends at; None while stopping or moving aside
     held: str = ""  #: why the robot has been stopped; empty while it has not
     urgent: bool = False  #: whether any occupancy calls for a step, after an emergency stop
+    stops: int = 0  #: how often the robot has been stopped: a plan from before a stop is not executed
     #: why the robot is not where the schedule says, so that it may not be commanded; empty while it is there
     lost: str = ""
 
@@ -207,6 +208,7 @@ class State:
             self.step += 1
         self.held, self.leads_to = decision.reason, None
         self.urgent = True
+        self.stops += 1
 
     def _on_time(self, t_s: float) -> bool:
         return t_s >= self.last_due_s + self.period_s - _DUE_TOLERANCE_S

@@ -73,10 +73,6 @@ class ArmFollowing:
         while len(self._seen) > 2 and self._seen[1][0] <= t_s - self.settings.rest_s:
             self._seen.popleft()
 
-    def forget(self) -> None:
-        """Forget where the arm was seen: what it did since nobody knows."""
-        self._seen.clear()
-
     @property
     def known(self) -> bool:
         """Whether the arm has been seen for long enough to tell if it rests."""

@@ -168,6 +168,7 @@ class Replanner:
         with self.lock:
             if state.lost:
                 return replace(self.hold(now_s, state.lost), stamp_s=stamp_s)
+            stops = state.stops
         person = self.problem.person(occupancy)
         # Without a goal ahead the robot stops already, or gets out of the way as well as it can.
         if state.leads_to is not None:
@@ -178,7 +179,7 @@ class Replanner:
             return self.keep(occupancy)
         decision = self._planned(state, person, deadline)  # lines 4 to 6
         with self.lock:
-            if decision.step != state.step or self._state is not state:  # somebody has stopped the robot meanwhile
+            if state.stops != stops or self._state is not state:  # somebody has stopped the robot meanwhile
                 held = self._started()
                 return Decision(stamp_s, held.step - 1, HOLD, held.held, held.chosen, held.chosen)
             if now is not None and decision.trajectory is not None and now() >= decision.t_switch_s:

@@ -195,6 +195,31 @@ def test_a_hold_stops_the_robot_and_the_next_plan_moves_it_again() -> None:
     assert subject.state_at(1.5)[1].any()
 
 
+@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("how", ["hold", "correct"])
+def test_a_plan_from_before_a_stop_is_not_executed(moving: bool, how: str) -> None:
+    subject = replanner()
+    if moving:
+        subject.commit(subject.plan(nobody(0.0)))
+    stops: list[Decision] = []
+
+    def stop_once() -> bool:  # asked in the middle of a step
+        if not stops and how == "hold":
+            stops.append(subject.hold(0.31, "stale human data"))
+        elif not stops:
+            stops.append(subject.correct(START, np.zeros(3), 0.31, "the arm does not follow"))
+        return False
+
+    decision = subject.respond(nobody(0.3), lambda: 0.3, stop_once)
+    assert stops
+    assert (decision.action, decision.reason) == ("hold", stops[0].reason)
+    assert decision.trajectory is None
+    assert subject.held == stops[0].reason
+    assert subject.at_rest(3.0)
+    subject.regain(START, 0.4)
+    assert subject.respond(nobody(0.5), lambda: 0.5).action == "replan"
+
+
 def test_a_hold_forgets_a_plan_that_has_not_taken_over_yet() -> None:
     subject = replanner()
     subject.commit(subject.plan(nobody(0.0)))
