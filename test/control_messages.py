@@ -7,15 +7,20 @@ turn them into sources, and the C compiler makes the libraries that rclpy loads.
 from __future__ import annotations
 
 import logging
+import os
 import subprocess
 import sys
 import sysconfig
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pytest
+
+from humanpred_ros.errors import UsageError
 
 #: Exit status where the compiler, a generator or a header file is missing.
-MISSING = 3
+_MISSING = 3
 
 _DEFINITIONS = {
     "msg/JointTolerance.msg": "string name\nfloat64 position\nfloat64 velocity\nfloat64 acceleration\n",
@@ -51,6 +56,28 @@ _USED = (
     "unique_identifier_msgs",
 )
 _FAST, _INTROSPECTION = "rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c"
+
+
+@pytest.fixture(scope="session")
+def control_msgs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Let this process, and those it starts, find control_msgs: the installed one, else one that is made here."""
+    from humanpred_ros.nodes.trajectory_action import action_type
+
+    try:
+        action_type()
+        yield
+        return
+    except UsageError:
+        folder = tmp_path_factory.mktemp("control_msgs")
+    environment = {"AMENT_PREFIX_PATH": sys.prefix, **os.environ}
+    made = subprocess.run([sys.executable, __file__, str(folder)], env=environment, capture_output=True, text=True)
+    if made.returncode == _MISSING:
+        pytest.skip(f"control_msgs is not installed and cannot be made: {made.stdout}")
+    assert made.returncode == 0, made.stderr
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        patch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
+        yield
 
 
 def make(folder: Path) -> None:
@@ -125,4 +152,4 @@ if __name__ == "__main__":
         make(Path(sys.argv[1]).absolute())
     except (ImportError, OSError) as missing:
         print(missing)
-        sys.exit(MISSING)
+        sys.exit(_MISSING)

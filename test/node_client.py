@@ -67,7 +67,6 @@ class NodeClient:
             self._executor.add_node(node)
             node.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.COMMAND)
             heard = self.connect(node)
-            self._parameter_client = node.create_client(SetParameters, f"/{self._tested}/set_parameters")
             self.wait(
                 lambda: all(publisher.get_subscription_count() for publisher in heard) and self.connected(node),
                 f"{self._tested} to listen and speak",
@@ -117,12 +116,14 @@ class NodeClient:
         """Return how often the node says to have refused something of this kind."""
         return int(self.diagnostics[1].get(f"refused/{kind}", "0"))
 
-    def set_parameter(self, name: str, value: ParameterValue) -> tuple[bool, str]:
-        """Set a parameter of the node by its service; return whether it did, and why not."""
-        self.wait(self._parameter_client.service_is_ready, f"the parameters of {self._tested}")
+    def set_parameter(self, name: str, value: ParameterValue, node: str = "") -> tuple[bool, str]:
+        """Set a parameter of the tested node, or of another, by its service; return whether it did, and why not."""
+        client = self.node.create_client(SetParameters, f"/{node or self._tested}/set_parameters")
+        self.wait(client.service_is_ready, f"the parameters of {node or self._tested}")
         request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
-        future = self._parameter_client.call_async(request)
+        future = client.call_async(request)
         self.wait(future.done, f"the answer to {name}")
+        self.node.destroy_client(client)
         (result,) = future.result().results
         return bool(result.successful), str(result.reason)
 

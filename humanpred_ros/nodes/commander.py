@@ -9,7 +9,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Protocol
 
-from action_msgs.msg import GoalStatus
+from action_msgs.msg import GoalInfo, GoalStatus
+from action_msgs.srv import CancelGoal
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node, NodeNameNonExistentError
@@ -95,10 +96,12 @@ class ActionCommander:
         self._services = self._action.Impl
         self._goals = node.create_client(self._services.SendGoalService, f"{self._name}/_action/send_goal")
         self._results = node.create_client(self._services.GetResultService, f"{self._name}/_action/get_result")
+        self._cancels = node.create_client(CancelGoal, f"{self._name}/_action/cancel_goal")
         self._lock = threading.Lock()
         #: The answer to the newest goal that has not ended, and how often it was looked for in vain.
         self._newest: Future | None = None
         self._looks = 0
+        self._taken: UUID | None = None  #: goal that was accepted last
         node.create_timer(_WATCH_PERIOD_S, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def send(self, message: JointTrajectory) -> None:
@@ -122,8 +125,11 @@ class ActionCommander:
 
     def _on_answer(self, goal_id: UUID, answer: Future) -> None:
         if not answer.result().accepted:
+            if self._taken is not None:  # a controller that rejects a goal goes on with the one before
+                self._cancels.call_async(CancelGoal.Request(goal_info=GoalInfo(goal_id=self._taken)))
             self._fail(answer, "the controller rejected the trajectory; its log tells why")
             return
+        self._taken = goal_id
         result = self._results.call_async(self._services.GetResultService.Request(goal_id=goal_id))
         result.add_done_callback(partial(self._on_result, answer))
 
@@ -134,7 +140,7 @@ class ActionCommander:
             return
         code = _ERRORS.get(outcome.error_code, f"error {outcome.error_code}")
         said = f": {outcome.error_string}" if outcome.error_string else ""
-        self._fail(answer, f"the controller {_ENDS.get(status, f'ended with status {status}')} ({code}{said})")
+        self._fail(answer, f"the controller {_ENDS.get(status, f'ended with status {status}')}, {code}{said}")
 
     def _watch(self) -> None:
         """Find out that nobody will answer: a server that has gone does not say so."""
@@ -160,6 +166,11 @@ class ActionCommander:
             if newest:
                 self._newest = None
         return newest
+
+
+def commander(node: GraphNode, by: str, controller: str, failed: Callable[[str], None]) -> Commander:
+    """Return what commands the arm by "topic" or "action"; the rest as the two classes want it."""
+    return TopicCommander(node, controller) if by == "topic" else ActionCommander(node, failed)
 
 
 def other_commanders(node: Node) -> str:

@@ -248,7 +248,7 @@ class PlannerTarget(Target):
         vars(stomp_planner)["time"] = vars(measured_arm)["time"] = now
         self.decisions: list[Any] = []
         node.decision_publisher.publish = self.decisions.append
-        node.trajectory_publisher.publish = lambda message: None
+        node.commander.send = lambda message: None
 
     def cases(self, node: Any, bench: Bench, spoil: Mutator, spoiled: bool, now_ns: int) -> Iterator[Case]:
         at = bench.scene.start if not node.begun else node.replanner.state_at((now_ns - node.origin_ns) * 1e-9)[0]

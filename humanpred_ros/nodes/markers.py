@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Vector3
+from rclpy.node import Node
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from humanpred_ros import topics
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy
+from humanpred_ros.nodes import qos
+from humanpred_ros.planning.decision import Decision
+from humanpred_ros.stomp.costs import Float32Array
 
 #: Pairs of named points of the human joined by a line.
 BONES = (
@@ -86,3 +91,26 @@ def rollout_markers(rollouts: Sequence[tuple[str, Sequence[FloatArray]]], stamp:
             marker.points += _points(ends)
         array.markers.append(marker)
     return array
+
+
+class PlanPictures:
+    """Shows the paths a planner compares, while somebody looks.
+
+    Attributes:
+        candidates, rollouts: publishers of the tool's paths to each goal, and of the last step's noisy ones.
+    """
+
+    def __init__(self, node: Node, tool_path: Callable[[FloatArray], FloatArray]) -> None:
+        """Take the node that publishes, and a function that returns the tool's positions (N, 3) along a path (N, D)."""
+        self.candidates = node.create_publisher(MarkerArray, topics.CANDIDATES, qos.MARKERS)
+        self.rollouts = node.create_publisher(MarkerArray, topics.ROLLOUTS, qos.MARKERS)
+        self._tool_path = tool_path
+
+    def show(self, decision: Decision, rollouts: Mapping[str, Float32Array], stamp: Time) -> None:
+        """Publish the goals of a decision, and noisy paths (R, N, D) by goal."""
+        if decision.goals and self.candidates.get_subscription_count():
+            paths = [(goal.name, self._tool_path(goal.path), goal.name == decision.chosen) for goal in decision.goals]
+            self.candidates.publish(candidate_markers(paths, stamp))
+        if decision.goals and rollouts:
+            noisy = [(name, [self._tool_path(path) for path in paths]) for name, paths in rollouts.items()]
+            self.rollouts.publish(rollout_markers(noisy, stamp))

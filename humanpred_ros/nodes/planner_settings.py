@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
+from humanpred_ros.errors import SettingsError
 from humanpred_ros.planning.following import FollowingSettings
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.plugins import Given
@@ -31,6 +34,9 @@ class StompPlannerSettings(Settings):
     human_margin_m: float = setting_of(ReplannerConfig, "human_margin_m")
     min_separation_m: float = setting_of(ReplannerConfig, "min_separation_m")
     likely_probability: float = setting_of(ReplannerConfig, "likely_probability")
+    command_by: Literal["topic", "action"] = setting(
+        "topic", "the arm is commanded on its controller's topic, or by its action FollowJointTrajectory"
+    )
     controller: str = setting("", "node that must be listening to the trajectories before this one is ready")
     listener: str = setting("", "node that must be listening to the decisions before this one is ready")
     max_human_age_s: float = setting(0.5, "older human occupancy leads to a hold", unit="s", low=0.02, high=60.0)
@@ -52,6 +58,13 @@ class StompPlannerSettings(Settings):
         high=0.95,
     )
     lossless: bool = setting(False, "subscribe reliably and keep every occupancy (stepped runs)")
+
+    def check(self) -> None:
+        if self.lossless and self.command_by == "action":
+            raise SettingsError(
+                f"{type(self).__name__} command_by: wanted topic in a stepped run (lossless), got action; "
+                "an action is answered in its own time"
+            )
 
     def replanner_config(self, cost_terms: Given | None = None) -> ReplannerConfig:
         """Return the replanner's settings these parameters, and those of cost terms, stand for."""

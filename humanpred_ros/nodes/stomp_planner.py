@@ -12,11 +12,8 @@ from dataclasses import replace
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState, PointCloud2
-from trajectory_msgs.msg import JointTrajectory
-from visualization_msgs.msg import MarkerArray
 
 from humanpred_ros import topics
 from humanpred_ros.errors import ArrayError, PlanningError
@@ -24,8 +21,9 @@ from humanpred_ros.geometry import compiled
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
+from humanpred_ros.nodes.commander import commander, other_commanders
 from humanpred_ros.nodes.inputs import Input, kind_of
-from humanpred_ros.nodes.markers import candidate_markers, rollout_markers
+from humanpred_ros.nodes.markers import PlanPictures
 from humanpred_ros.nodes.measured_arm import MeasuredArm
 from humanpred_ros.nodes.parameters import declare, plugin_parameters
 from humanpred_ros.nodes.planner_settings import StompPlannerSettings
@@ -37,8 +35,8 @@ from humanpred_ros.robot.scene import load_scene
 _WATCH_PERIOD_S = 0.02
 #: After an arm did not follow, so long passes before it is commanded again, s.
 _RETRY_S = 1.0
-#: So long the controller is given to take the last stop.
-_LAST_WORD = Duration(seconds=1)
+#: So long the controller is given to take the last stop, s.
+_LAST_WORD_S = 1.0
 #: A trajectory that ends sooner could be over before the controller has it, s.
 _LEAST_S = 0.1
 #: Share of a step after its occupancy's stamp that STOMP may take in real time: few goals answer sooner.
@@ -82,12 +80,11 @@ class StompPlannerNode(GraphNode):
         self.n_holds, self.hold_reason = 0, ""
         self.last_refusal = ""
 
-        self.trajectory_publisher = self.create_publisher(JointTrajectory, topics.TRAJECTORY, qos.COMMAND)
+        self.commander = commander(self, settings.command_by, settings.controller, self.on_failed)
         self.decision_publisher = self.create_publisher(DiagnosticArray, topics.DECISION, qos.SENSOR_PUBLISHER)
-        self.candidate_publisher = self.create_publisher(MarkerArray, topics.CANDIDATES, qos.MARKERS)
-        self.rollout_publisher = self.create_publisher(MarkerArray, topics.ROLLOUTS, qos.MARKERS)
+        self.pictures = PlanPictures(self, self.replanner.tool_path)
         self.add_on_set_parameters_callback(self.on_parameters)
-        self.hardware_id = self.trajectory_publisher.topic_name.rpartition("/")[0]
+        self.hardware_id = self.resolve_topic_name(topics.TRAJECTORY).rpartition("/")[0]
         arm_age_s, human_age_s = settings.max_arm_age_s, settings.max_human_age_s
         if settings.lossless:
             arm_age_s = human_age_s = math.inf
@@ -114,7 +111,7 @@ class StompPlannerNode(GraphNode):
         if self.arm.q is None:
             return f"the arm's joints on {topics.JOINT_STATES}"
         listening = self.unmatched(self.decision_publisher, self.settings.listener) if self.settings.listener else ""
-        return self.unmatched(self.trajectory_publisher, self.settings.controller) or listening
+        return self.commander.waiting_for() or listening
 
     def holding_because(self) -> str:
         return self.replanner.held
@@ -135,7 +132,7 @@ class StompPlannerNode(GraphNode):
             with self.replanner.lock:
                 if not self.replanner.at_rest(self.now_s()):
                     self.publish(self._hold("the planner is ended"), self.last_ns, time.perf_counter())
-            self.trajectory_publisher.wait_for_all_acked(_LAST_WORD)
+            self.commander.wait_until_heard(_LAST_WORD_S)
         self._closing.set()
         self._asked.set()
         for thread in self._threads:
@@ -175,15 +172,27 @@ class StompPlannerNode(GraphNode):
         if not self.replanner.lost:
             trouble = self.replanner.arm_trouble(arm.following, arm.q, now_s, arm.late_s)
             if trouble:
-                self.lost_s = arm.came_s
-                # Told to stay where it is by now, so that it does not go on by itself when it is free again.
-                decision = self.replanner.correct(arm.position_now(), arm.v, now_s, trouble)
-                self.publish(decision, self.last_ns, time.perf_counter())
-        elif arm.following.at_rest and arm.came_s - self.lost_s >= _RETRY_S:
+                self._lose(trouble)
+        elif arm.following.at_rest and arm.came_s - self.lost_s >= _RETRY_S and not self.commander.waiting_for():
             try:
                 self.replanner.regain(self.replanner.nearest_start(arm.q, self.settings.start_slack_rad), now_s)
             except PlanningError as error:
                 self.refuse(str(error))
+
+    def _lose(self, reason: str) -> None:
+        """Tell the arm to stay where it is by now, so that it does not go on by itself when it is free again."""
+        self.lost_s = time.monotonic()
+        decision = self.replanner.correct(self.arm.position_now(), self.arm.v, self.now_s(), reason)
+        self.publish(decision, self.last_ns, time.perf_counter())
+
+    def on_failed(self, reason: str) -> None:
+        """Take the arm for one that does not follow: its controller does not carry out what it was sent last."""
+        with self.replanner.lock:
+            if self.replanner.lost:  # then it was the stop: sent again and again it would fare no better
+                self.lost_s = time.monotonic()
+                self.tell(("failed", kind_of(reason)), f"the arm was told to stay where it is, but {reason}")
+            elif self.begun:
+                self._lose(reason)
 
     def on_occupancy(self, message: PointCloud2) -> None:
         """Answer one occupancy with one decision."""
@@ -193,12 +202,8 @@ class StompPlannerNode(GraphNode):
         age_s = (now_ns - stamp_ns) * 1e-9
         lossless = self.settings.lossless
         if -age_s > self.settings.max_ahead_s and not lossless:
-            self._answer_with_hold(
-                f"stamp ahead: the human data's clock is {-age_s:.3g} s ahead, at most {self.settings.max_ahead_s:g} s "
-                "are allowed",
-                stamp_ns,
-                received_s,
-            )
+            reason = f"stamp ahead: the human data's clock is {-age_s:.3g} s ahead, at most"
+            self._answer_with_hold(f"{reason} {self.settings.max_ahead_s:g} s are allowed", stamp_ns, received_s)
             return
         back = self.begun and stamp_ns < self.last_ns
         stale = age_s > self.settings.max_human_age_s and not lossless
@@ -210,7 +215,8 @@ class StompPlannerNode(GraphNode):
             return
         self.last_ns, self.last_now_ns = max(self.last_ns, stamp_ns), now_ns
         if stale:
-            self._answer_with_hold(self.stale(age_s), stamp_ns, received_s)
+            reason = f"stale human data: {age_s:.2f} s old, at most {self.settings.max_human_age_s:g} s allowed"
+            self._answer_with_hold(reason, stamp_ns, received_s)
             return
         t_s = (stamp_ns - self.origin_ns) * 1e-9
         try:
@@ -240,7 +246,7 @@ class StompPlannerNode(GraphNode):
         if self.arm.q is None:
             self._wait_with_hold(f"no arm: its joints have not come on {topics.JOINT_STATES}", stamp_ns)
             return False
-        others = self.other_planners()
+        others = other_commanders(self)
         if others:
             self._wait_with_hold(f"two planners: {others} commands this arm already; end one of them", stamp_ns)
             return False
@@ -268,17 +274,6 @@ class StompPlannerNode(GraphNode):
         self.refuse(reason)
         waiting = Decision(0.0, 0, HOLD, reason, None, None)
         self.decision_publisher.publish(conversions.decision_message(waiting, stamp_ns, 0.0))
-
-    def other_planners(self) -> str:
-        """Return the names of other nodes that command the same controller; empty if there are none."""
-        nodes = [
-            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-            for info in self.get_publishers_info_by_topic(self.trajectory_publisher.topic_name)
-        ]
-        own = self.get_fully_qualified_name()
-        if own in nodes:
-            nodes.remove(own)
-        return ", ".join(nodes)
 
     def _refuse_occupancy(self, reason: str) -> None:
         self.last_refusal = reason
@@ -334,7 +329,7 @@ class StompPlannerNode(GraphNode):
         In real time STOMP stops iterating when time runs out, so that an overloaded machine gets a poorer plan
         rather than none. Stepped runs take the time they need, which makes them the same on every machine.
         """
-        self.replanner.keep_rollouts = self.rollout_publisher.get_subscription_count() > 0
+        self.replanner.keep_rollouts = self.pictures.rollouts.get_subscription_count() > 0
         if self.settings.lossless:
             return self.replanner.respond(occupancy)
         share = max(_SHARE_PER_GOAL * len(self.replanner.goal_names), _LEAST_SHARE)
@@ -345,10 +340,6 @@ class StompPlannerNode(GraphNode):
                 reason = f"about to arrive: {decision.chosen}, but the arm still moves"
                 return replace(decision, action=KEEP, reason=reason)
         return decision
-
-    def stale(self, age_s: float) -> str:
-        """Return the reason of a hold because human data are too old."""
-        return f"stale human data: {age_s:.2f} s old, at most {self.settings.max_human_age_s:g} s allowed"
 
     def now_s(self) -> float:
         """Return the node's time in seconds after the first occupancy."""
@@ -393,27 +384,14 @@ class StompPlannerNode(GraphNode):
                 # A controller forgets the old trajectory at once: it is sent what is left of it, then the new one.
                 now_s = decision.stamp_s if self.settings.lossless else self.now_s()
                 motion = self.replanner.motion_from(min(now_s, decision.t_switch_s)).lasting_until(now_s + _LEAST_S)
-                self.trajectory_publisher.publish(
-                    conversions.trajectory_message(self.replanner.joint_names, motion, self.origin_ns)
-                )
+                self.commander.send(conversions.trajectory_message(self.replanner.joint_names, motion, self.origin_ns))
         # People want to see what changes; that a goal is kept changes nothing, unless it ends a hold.
         if decision.action != KEEP or self.told_hold:
             self.told_hold = decision.action == HOLD
             kind = (decision.action, kind_of(decision.reason), decision.chosen)
             self.tell(kind, f"t {decision.stamp_s:5.2f} s  {decision.summary()}")
         self.decision_publisher.publish(conversions.decision_message(decision, stamp_ns, compute_ms))
-        if decision.goals and self.candidate_publisher.get_subscription_count():
-            paths = [
-                (goal.name, self.replanner.tool_path(goal.path), goal.name == decision.chosen)
-                for goal in decision.goals
-            ]
-            self.candidate_publisher.publish(candidate_markers(paths, conversions.time_message(stamp_ns)))
-        if decision.goals and self.replanner.rollouts:
-            noisy = [
-                (name, [self.replanner.tool_path(path) for path in paths])
-                for name, paths in self.replanner.rollouts.items()
-            ]
-            self.rollout_publisher.publish(rollout_markers(noisy, conversions.time_message(stamp_ns)))
+        self.pictures.show(decision, self.replanner.rollouts, conversions.time_message(stamp_ns))
 
 
 main = entry_point(StompPlannerNode)

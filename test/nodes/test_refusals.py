@@ -250,7 +250,7 @@ def test_the_planner_holds_on_occupancy_it_cannot_use(ros: Callable[..., Any]) -
     decisions: list[Any] = []
     trajectories: list[Any] = []
     node.decision_publisher.publish = decisions.append
-    node.trajectory_publisher.publish = trajectories.append
+    node.commander.send = trajectories.append
     node.on_occupancy(cloud(1 * NS))
     # Without the arm's joints there is nothing to plan from.
     assert [decision.status[0].message for decision in decisions] == ["hold"]
@@ -287,16 +287,16 @@ def test_rollouts_are_kept_only_for_someone_who_looks(ros: Callable[..., Any]) -
     node = ros(StompPlannerNode, {"scene": "face_to_face", "lossless": "true", "iterations": "5", "rollouts": "6"})
     node.on_joint_state(conversions.joint_state(node.replanner.joint_names, SCENE.start, 1))
     drawn: list[Any] = []
-    node.rollout_publisher.publish = drawn.append
+    node.pictures.rollouts.publish = drawn.append
     for t_ns in (1 * NS, 1 * NS + NS // 5):
         node.on_occupancy(cloud(t_ns))
     assert node.replanner.rollouts == {}
     assert drawn == []
-    node.rollout_publisher.get_subscription_count = lambda: 1
+    node.pictures.rollouts.get_subscription_count = lambda: 1
     node.on_occupancy(cloud(1 * NS + 2 * NS // 5))
     assert {paths.shape[0] for paths in node.replanner.rollouts.values()} == {6}
     assert {marker.ns for marker in drawn[0].markers[1:]} == {f"rollouts/{name}" for name in node.replanner.rollouts}
-    node.rollout_publisher.get_subscription_count = lambda: 0
+    node.pictures.rollouts.get_subscription_count = lambda: 0
     node.on_occupancy(cloud(1 * NS + 3 * NS // 5))
     assert len(drawn) == 1
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import control_messages
 import numpy as np
 import pytest
 
@@ -22,6 +19,7 @@ from humanpred_ros.robot.scene import load_scene
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
 import rclpy
 from action_msgs.msg import GoalStatus
+from control_messages import control_msgs  # noqa: F401 -- a fixture
 from node_client import NodeClient
 from numpy.typing import ArrayLike
 from rclpy.action import ActionClient
@@ -36,31 +34,10 @@ from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.commander import ActionCommander, TopicCommander, other_commanders
 from humanpred_ros.nodes.trajectory_action import action_name, action_type
 
+pytestmark = pytest.mark.usefixtures("control_msgs")
 SCENE = load_scene("face_to_face")
 CHAIN = SCENE.arm.chain
 START = np.asarray(SCENE.start)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def control_msgs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Let this process, and those it starts, find control_msgs: the installed one, else one that is made here."""
-    try:
-        action_type()
-        yield
-        return
-    except UsageError:
-        folder = tmp_path_factory.mktemp("control_msgs")
-    environment = {"AMENT_PREFIX_PATH": sys.prefix, **os.environ}
-    made = subprocess.run(
-        [sys.executable, control_messages.__file__, str(folder)], env=environment, capture_output=True, text=True
-    )
-    if made.returncode == control_messages.MISSING:
-        pytest.skip(f"control_msgs is not installed and cannot be made: {made.stdout}")
-    assert made.returncode == 0, made.stderr
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(folder)
-        patch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
-        yield
 
 
 class ArmClient(NodeClient):
