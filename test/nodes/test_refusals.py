@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -31,7 +33,7 @@ from sensor_msgs.msg import JointState
 
 from humanpred_ros import topics
 from humanpred_ros.nodes import conversions, qos
-from humanpred_ros.nodes.frames import pose_matrix
+from humanpred_ros.nodes.frames import pose_matrix, tf_lookup
 from humanpred_ros.nodes.occupancy_predictor import OccupancyPredictorNode
 from humanpred_ros.nodes.run_recorder import RunRecorder
 from humanpred_ros.nodes.skeleton_tracker_replay import SkeletonTrackerReplay
@@ -186,6 +188,35 @@ def test_where_tf_is_postures_of_other_frames_are_where_it_says(ros: Callable[..
     poses["kinect"] = T_world_camera  # somebody moved it: TF knows, the scene does not
     assert set(predictor.stream(1.0, 2.0)[-5:]) == {""}
     assert "0.6" in predictor.node.warnings["tracker frame"]
+
+
+def test_tf_is_asked_for_the_newest_pose_in_the_world(monkeypatch: pytest.MonkeyPatch) -> None:
+    class NoWayError(Exception):
+        pass
+
+    def lookup_transform(target: str, source: str, time: Any) -> Any:
+        if source != "camera":
+            raise NoWayError(f"{source} does not exist")
+        assert (target, time.nanoseconds) == ("world", 0)
+        half = np.sqrt(0.5)
+        pose = SimpleNamespace(
+            translation=SimpleNamespace(x=1.0, y=2.0, z=3.0), rotation=SimpleNamespace(x=0.0, y=0.0, z=half, w=half)
+        )
+        return SimpleNamespace(transform=pose)
+
+    tf2 = SimpleNamespace(
+        Buffer=lambda: SimpleNamespace(lookup_transform=lookup_transform),
+        TransformListener=lambda buffer, node: None,
+        TransformException=NoWayError,
+    )
+    monkeypatch.setitem(sys.modules, "tf2_ros", tf2)
+    lookup = tf_lookup(None)  # type: ignore[arg-type]
+    assert lookup is not None
+    np.testing.assert_allclose(lookup("camera"), turn_and_shift(np.pi / 2, (1.0, 2.0, 3.0)), atol=1e-12)
+    with pytest.raises(LookupError, match="map does not exist"):
+        lookup("map")
+    with pytest.raises(LookupError, match="a pose that is none"):
+        pose_matrix((0.0, np.nan, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
 def test_a_posture_that_was_overtaken_is_no_hold_and_a_clock_that_goes_back_is(ros: Callable[..., Any]) -> None:
