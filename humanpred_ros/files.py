@@ -242,7 +242,11 @@ def read_arrays(path: Path, error: type[HumanPredError]) -> dict[str, NDArray[An
     Raises:
         error: no such archive, objects in it, or numbers that are not finite or beyond 1e12.
     """
-    data = read_bytes(path, ARCHIVE_BYTES, error)
+    return arrays_in(read_bytes(path, ARCHIVE_BYTES, error), path, error)
+
+
+def arrays_in(data: bytes, path: Path, error: type[HumanPredError]) -> dict[str, NDArray[Any]]:
+    """Return the arrays in the bytes of an archive that stands for a file; raises as `read_arrays`."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()

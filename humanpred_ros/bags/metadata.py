@@ -115,7 +115,7 @@ def read_metadata(path: Path) -> tuple[tuple[str, ...], dict[str, int]]:
             str(entry["topic_metadata"]["name"]): int(entry["message_count"])
             for entry in information["topics_with_message_count"]
         }
-    except (BagError, KeyError, TypeError, ValueError, AttributeError) as trouble:
+    except (BagError, KeyError, TypeError, ValueError, OverflowError, AttributeError) as trouble:
         raise BagError(
             f"{path}: wanted rosbag2's metadata, got something else ({type(trouble).__name__}: {trouble}); "
             "rebuild it with: humanpred bag salvage"

@@ -13,13 +13,16 @@ A marker is hidden where a coordinate is empty or nan, and where all three are e
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from humanpred_ros.errors import LibraryFormatError, UsageError
+from humanpred_ros.files import arrays_in, open_plain
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.csv_files import number_in, read_rows, read_table
 
@@ -80,32 +83,22 @@ _Content = tuple[list[str], FloatArray, FloatArray | None, str | None, float | N
 
 
 def _read_c3d(path: Path) -> _Content:
-    try:
-        import ezc3d
-    except ImportError as trouble:
+    if find_spec("ezc3d") is None:
         raise UsageError(
             f"{path}: wanted the package ezc3d, which reads C3D files, it is not installed; install it with: "
             "pip install 'humanpred_ros[markers]'"
-        ) from trouble
-    try:
-        content: Any = ezc3d.c3d(str(path))
-        parameters = content["parameters"]["POINT"]
-        points = np.moveaxis(np.asarray(content["data"]["points"], dtype=np.float64)[:3], 0, 2).swapaxes(0, 1)
-        lost = np.asarray(content["data"]["meta_points"]["residuals"])[0].T < 0
-        labels = [str(label).strip() for key in parameters if re.fullmatch(r"LABELS\d*", key)
-                  for label in parameters[key]["value"]]  # fmt: skip
-        units = [str(unit) for unit in parameters.get("UNITS", {"value": []})["value"]]
-        rate_hz = float(parameters["RATE"]["value"][0])
-    except (OSError, ValueError, KeyError, IndexError, RuntimeError) as trouble:
-        raise LibraryFormatError(f"{path}: wanted a C3D file with markers, it cannot be read ({trouble})") from trouble
-    labels += [f"*{k}" for k in range(len(labels), points.shape[1])]
-    return (
-        labels[: points.shape[1]],
-        np.where(lost[..., None], np.nan, points),
-        None,
-        units[0] if units else None,
-        rate_hz,
-    )
+        )
+    open_plain(path, LibraryFormatError).close()
+    # An absolute path: to ezc3d's program a name that begins with a dash would be something else.
+    command = [sys.executable, "-m", "humanpred_ros.motion.c3d_reader", str(path.resolve())]
+    done = subprocess.run(command, capture_output=True, check=False, stdin=subprocess.DEVNULL)
+    if done.returncode:
+        said = done.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2] or f"status {done.returncode}"
+        raise LibraryFormatError(f"{path}: wanted a C3D file with markers, it cannot be read ({said:.200})")
+    found = arrays_in(done.stdout, path, LibraryFormatError)
+    labels, units = ([str(text)[1:] for text in found[name]] for name in ("labels", "units"))
+    points = np.where(found["lost"][..., None], np.nan, found["points"])
+    return labels, points, None, units[0] if units else None, float(found["rate"])
 
 
 def _read_trc(path: Path) -> _Content:
