@@ -66,11 +66,8 @@ class StompPlannerNode(GraphNode):
             config = settings.replanner_config(plugin_parameters(self, settings.cost_terms))
             self.replanner = Replanner.for_scene(self.scene, config)
             self.replanner.warm_up()
-        self.arm = MeasuredArm(
-            self.replanner.joint_names,
-            settings.part(FollowingSettings),
-            self.replanner.arm.difference,
-        )
+        following = settings.part(FollowingSettings)
+        self.arm = MeasuredArm(self.replanner.joint_names, following, self.replanner.arm.difference)
         self.begun = self.holding = self.told_hold = False
         self.lost_s = 0.0
         self.origin_ns = self.last_ns = self.last_now_ns = 0
@@ -305,8 +302,10 @@ class StompPlannerNode(GraphNode):
             self._asked.clear()
             if self._closing.is_set():
                 return
-            if self._newest:
-                self._answer(*self._newest.pop())
+            with self.replanner.lock:  # a hold forgets it
+                newest = self._newest.pop() if self._newest else None
+            if newest is not None:
+                self._answer(*newest)
 
     def _answer(self, occupancy: Occupancy, stamp_ns: int, received_s: float, n_holds: int) -> None:
         """Publish the decision on an occupancy that came after so many holds; it ends none that came later."""
