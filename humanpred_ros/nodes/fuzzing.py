@@ -283,9 +283,10 @@ class PlannerTarget(Target):
         )
 
     def answered(self, node: Any) -> tuple[bool, bool]:
-        actions = [message.status[0].message for message in self.decisions]
+        told = [(message.status[0].message, len(message.status) > 1) for message in self.decisions]
         self.decisions.clear()
-        return any(action != "hold" for action in actions), "hold" in actions
+        # Planned is what says something of goals; it may be that none can be got to from where the arm was said to be.
+        return any(action != "hold" or planned for action, planned in told), any(action == "hold" for action, _ in told)
 
 
 class ArmTarget(Target):
