@@ -145,16 +145,16 @@ def full(grid: VoxelGrid) -> Spoil:
     table = np.ones((grid.size, 4), dtype=np.float32)
     table[:, :3] = grid.centres_m(np.arange(grid.size))
     points = table.tobytes()
-    return _seldom(lambda cloud: with_points(cloud, points, grid.size))
+    return _seldom(lambda cloud: with_points(cloud, points, grid.size), 6)
 
 
-def _seldom(change: Callable[[Any], Any]) -> Spoil:
-    """Send one message in six, spoilt: so large ones take long to be sent."""
+def _seldom(change: Callable[[Any], Any], one_in: int) -> Spoil:
+    """Send one message in so many, spoilt: large ones take long to be sent."""
     count = [0]
 
     def spoil(message: Any) -> Iterable[Any]:
         count[0] += 1
-        return [change(message)] if count[0] % 6 == 1 else []
+        return [change(message)] if count[0] % one_in == 1 else []
 
     return spoil
 
@@ -166,7 +166,7 @@ def huge(grid: VoxelGrid) -> Spoil:
         times = max(1, 16_000_000 // max(len(cloud.data), 1))
         return with_points(cloud, cloud.data.tobytes() * times, cloud.width * times)
 
-    return _seldom(grown)
+    return _seldom(grown, 15)
 
 
 def claims_more(cloud: Any) -> Any:

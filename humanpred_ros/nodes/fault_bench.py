@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.fault_trials import HOLDS, OPEN, Bounds, Trial, judged
+from humanpred_ros.evaluation.fault_trials import GOES_ON, HOLDS, OPEN, Bounds, Trial, judged
 from humanpred_ros.evaluation.faults import CLOCK, DIRECT, FAULTS, RELAYED, SHORT, Fault
 from humanpred_ros.evaluation.framework import Begin, Column, OutputSettings, Report, Table, chosen_names, present
 from humanpred_ros.evaluation.outputs import check_writable
@@ -95,6 +95,7 @@ class Row:
     def reason(self) -> str:
         """The reason that was given first; the JSON file has it whole."""
         said = next((trial.reason for trial in self.trials if trial.reason), "")
+        said = said.replace("where people are is not known: ", "")
         return textwrap.shorten(said, _LONGEST_REASON, placeholder=" ...")
 
     @property
@@ -105,7 +106,9 @@ class Row:
         return "no" if self.trials[1].problems else "yes"
 
     def figures(self, name: str, spec: str = ".2f") -> str:
-        """Return a figure of each trial, with commas between."""
+        """Return a figure of each trial, with commas between; an arm that works on is not asked to hold or rest."""
+        if self.fault.outcome == GOES_ON and name in ("hold_s", "rest_s"):
+            return "–"
         values = [getattr(trial, name) for trial in self.trials]
         return ", ".join("–" if value is None else f"{value:{spec}}" for value in values)
 
@@ -251,10 +254,12 @@ def page(rows: Sequence[Row], notes: Sequence[str]) -> str:
         "DDS, real time) while the arm moves, twice. Not safety-rated.",
         "",
         f"{_count(rows)}. Asked for: the reason that is expected; rest within {MAX_AGE_S + STOPPING_S:.2f} s, which is "
-        f"{MAX_AGE_S:g} s without usable data and the arm's stopping time at the speed used; no trajectory that begins "
-        f"farther than {GAP_RAD:.2f} rad from the arm; work again after the fault. Times are those of the first and "
-        "the second time. Recovery includes the start of a node where one is started. Open: only a guard outside the "
-        "planner can stop the arm then; there is none yet.",
+        f"{MAX_AGE_S:g} s without usable data and the arm's stopping time at the speed used (a tenth of the velocity "
+        f"limits; more at more); no trajectory that begins farther than {GAP_RAD:.2f} rad from where the arm is; work "
+        "again afterwards. Times are those of the first and the second time, from the moment the fault was put in. "
+        "Where the fault itself stands the arm still, the time to hold tells. Recovery counts from the end of the "
+        "fault, and includes the start of a node where one is started. Open: only a guard outside the planner can stop "
+        "the arm then; there is none yet.",
         "",
         *notes,
         "",

@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from paths import REPOSITORY
 from rich.console import Console
 
 from humanpred_ros.cli import parse
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.fault_trials import GOES_ON, HOLDS, OPEN, Bounds, Command, Heard, TimedText, Trial, judged
 from humanpred_ros.evaluation.faults import FAULTS, SHORT
-from humanpred_ros.nodes.fault_bench import Row
+from humanpred_ros.nodes.fault_bench import Row, page
 
 BEGAN, ENDED, BACK = 10.0, 11.5, 12.0
 BOUNDS = Bounds(HOLDS, ("stale",), rest_s=0.7, data_age_s=None, gap_rad=0.1)
@@ -93,6 +94,15 @@ def test_names_are_told_apart_and_unknown_ones_refused(tmp_path: Path) -> None:
     command, settings = parse(["bench", "faults", "--only", "no such fault", "--page", str(tmp_path / "faults.md")])
     with pytest.raises(UsageError, match="no such fault"):
         command(settings, Console(file=io.StringIO()))
+
+
+def test_the_page_is_that_of_the_faults_there_are() -> None:
+    lines = (REPOSITORY / "docs" / "faults.md").read_text(encoding="utf-8").splitlines()
+    table = [line.split(" | ") for line in lines if line.startswith("| ")]
+    assert [(row[0].removeprefix("| "), row[1]) for row in table[1:]] == [(f.name, f.expected) for f in FAULTS]
+    trial = verdict(heard())
+    head = page([Row(FAULTS[0], (trial, trial))], ()).splitlines()
+    assert " | ".join(table[0]) in head
 
 
 def test_the_real_graph_fails_closed(tmp_path: Path) -> None:
