@@ -146,6 +146,7 @@ def read_table1(folder: Path) -> dict[int, dict[str, float]]:
 
     Raises:
         UsageError: a file without the columns human_traj_id, planner, run and cost.
+        LibraryFormatError: a file that cannot be read, or is empty.
     """
     path = folder / TABLE1_BESIDE_LIBRARY
     if not path.is_file():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -15,8 +16,10 @@ from humanpred_ros import topics
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.nodes import qos
-from humanpred_ros.planning.decision import Decision
-from humanpred_ros.stomp.costs import Float32Array
+
+if TYPE_CHECKING:  # nodes that draw a skeleton need no planner
+    from humanpred_ros.planning.decision import Decision
+    from humanpred_ros.stomp.costs import Float32Array
 
 #: Pairs of named points of the human joined by a line.
 BONES = (

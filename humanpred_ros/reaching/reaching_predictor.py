@@ -223,7 +223,7 @@ class ReachingPredictor(Predictor):
         Raises:
             MotionError: also for lengths or angles that no body has: what is compiled for speed counts on bodies.
         """
-        q = checked("posture", q, (len(self.human.dof_names),), error=MotionError)
+        q = checked("posture", q, (len(self.human.dof_names),))
         if np.abs(q).max() > _LARGEST:
             name = self.human.dof_names[int(np.argmax(np.abs(q)))]
             raise MotionError(

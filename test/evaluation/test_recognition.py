@@ -83,7 +83,7 @@ def test_a_bag_gives_the_same_figures_as_the_csv_folder(library: Path, tmp_path:
     ("settings", "complaint"),
     [
         ({"classifier": ("oracle",)}, r"wanted .*gmm.*got oracle"),
-        ({"reference": "nothing.csv"}, "nothing.csv.*cannot be read"),
+        ({"reference": "nothing.csv"}, "nothing.csv.*could not be read"),
         ({"components": 0}, "components.*from 1"),
         ({"evidence": "product"}, "evidence.*'sum' or 'mean'.*product"),
         ({"library": "nowhere"}, "nowhere.*neither a path that exists"),
@@ -118,7 +118,7 @@ def test_a_garbled_reference_is_refused(text: str, tmp_path: Path) -> None:
 def test_a_reference_that_is_no_text_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "curve.csv"
     path.write_bytes(b"\xff\xfe\x00\x80")
-    with pytest.raises(HumanPredError, match="cannot be read"):
+    with pytest.raises(HumanPredError, match="could not be read"):
         read_reference(path)
 
 
