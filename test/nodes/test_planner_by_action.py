@@ -69,7 +69,7 @@ class Graph(PlannerClient):
 
     def until_moving(self) -> None:
         self.until("keep")
-        self.go_on(lambda: np.abs(self.v).max() > 0.05, "the arm to be on its way")
+        self.go_on(lambda: np.abs(self.v).max(initial=0.0) > 0.05, "the arm to be on its way")
 
     def _on_joints(self, message: JointState) -> None:
         self.q, self.v = np.asarray(message.position), np.asarray(message.velocity)
