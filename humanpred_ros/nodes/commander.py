@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
+import time
 import uuid
 from collections.abc import Callable
 from functools import partial
@@ -26,6 +28,8 @@ from humanpred_ros.nodes.trajectory_action import action_name, action_type
 _WATCH_PERIOD_S = 0.1
 #: A controller answers a goal within milliseconds; one that has not after so many looks has not got it.
 _LOOKS = 20
+#: Others who command the arm are looked for so long before the first command, and after it every so often, s.
+_LOOK_AROUND_S, _LOOK_PERIOD_S = 2.0, 0.4
 #: The result's error codes, in words.
 _ERRORS = {
     0: "no error",
@@ -173,16 +177,47 @@ def commander(node: GraphNode, by: str, controller: str, failed: Callable[[str],
     return TopicCommander(node, controller) if by == "topic" else ActionCommander(node, failed)
 
 
-def other_commanders(node: Node) -> str:
-    """Return the names of other nodes that command the same controller by topic or action; empty if there are none."""
-    topic, service = node.resolve_topic_name(topics.TRAJECTORY), f"{action_name(node)}/_action/send_goal"
-    own = (node.get_namespace(), node.get_name())
-    found = {(info.node_namespace, info.node_name) for info in node.get_publishers_info_by_topic(topic)} - {own}
-    everybody = [(namespace, name) for name, namespace in node.get_node_names_and_namespaces()]
-    for namespace, name in set(everybody) - {own}:
-        with contextlib.suppress(NodeNameNonExistentError):  # it has gone meanwhile
-            if service in dict(node.get_client_names_and_types_by_node(name, namespace)):
-                found.add((namespace, name))
-    if everybody.count(own) > 1:  # the graph does not tell apart what nodes of one name do
-        found.add(own)
-    return ", ".join(sorted(f"{namespace.rstrip('/')}/{name}" for namespace, name in found))
+class OtherCommanders:
+    """Finds other nodes that command the same controller, by topic or by action.
+
+    Nodes hear of each other within milliseconds, on a busy machine within seconds: a node that looks too early believes
+    itself alone.
+    """
+
+    def __init__(self, node: Node) -> None:
+        """Take the node that is to be the only one."""
+        self._node, self._since_s, self._looked_s = node, time.monotonic(), -math.inf
+
+    def looking(self) -> bool:
+        """Return whether the others may not have been heard of yet."""
+        return time.monotonic() - self._since_s < _LOOK_AROUND_S
+
+    def begin(self) -> None:
+        """Take note that the node begins to command."""
+        self._since_s = time.monotonic()
+
+    def late(self) -> str:
+        """Return the names of those who were heard of just after this node began; older ones would have been before.
+
+        Somebody who is heard of later has come later, and it is for them to refuse.
+        """
+        now_s = time.monotonic()
+        if not self.looking() or now_s - self._looked_s < _LOOK_PERIOD_S:
+            return ""
+        self._looked_s = now_s
+        return self.names()
+
+    def names(self) -> str:
+        """Return the names of all; empty if there are none."""
+        node = self._node
+        topic, service = node.resolve_topic_name(topics.TRAJECTORY), f"{action_name(node)}/_action/send_goal"
+        own = (node.get_namespace(), node.get_name())
+        found = {(info.node_namespace, info.node_name) for info in node.get_publishers_info_by_topic(topic)} - {own}
+        everybody = [(namespace, name) for name, namespace in node.get_node_names_and_namespaces()]
+        for namespace, name in set(everybody) - {own}:
+            with contextlib.suppress(NodeNameNonExistentError):  # it has gone meanwhile
+                if service in dict(node.get_client_names_and_types_by_node(name, namespace)):
+                    found.add((namespace, name))
+        if everybody.count(own) > 1:  # the graph does not tell apart what nodes of one name do
+            found.add(own)
+        return ", ".join(sorted(f"{namespace.rstrip('/')}/{name}" for namespace, name in found))

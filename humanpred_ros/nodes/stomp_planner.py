@@ -21,7 +21,7 @@ from humanpred_ros.geometry import compiled
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
-from humanpred_ros.nodes.commander import commander, other_commanders
+from humanpred_ros.nodes.commander import OtherCommanders, commander
 from humanpred_ros.nodes.inputs import Input, kind_of
 from humanpred_ros.nodes.markers import PlanPictures
 from humanpred_ros.nodes.measured_arm import MeasuredArm
@@ -39,6 +39,7 @@ _RETRY_S = 1.0
 _LAST_WORD_S = 1.0
 #: A trajectory that ends sooner could be over before the controller has it, s.
 _LEAST_S = 0.1
+_TWO = "two planners"
 #: Share of a step after its occupancy's stamp that STOMP may take in real time: few goals answer sooner.
 _SHARE_PER_GOAL, _LEAST_SHARE = 0.16, 0.25
 
@@ -77,6 +78,7 @@ class StompPlannerNode(GraphNode):
         self.n_holds, self.hold_reason = 0, ""
         self.last_refusal = ""
 
+        self.others = OtherCommanders(self)
         self.commander = commander(self, settings.command_by, settings.controller, self.on_failed)
         self.decision_publisher = self.create_publisher(DiagnosticArray, topics.DECISION, qos.SENSOR_PUBLISHER)
         self.pictures = PlanPictures(self, self.replanner.tool_path)
@@ -108,7 +110,8 @@ class StompPlannerNode(GraphNode):
         if self.arm.q is None:
             return f"the arm's joints on {topics.JOINT_STATES}"
         listening = self.unmatched(self.decision_publisher, self.settings.listener) if self.settings.listener else ""
-        return self.commander.waiting_for() or listening
+        looking = "other planners to be heard of, if there are any" if self._looks_around() else ""
+        return self.commander.waiting_for() or listening or looking
 
     def holding_because(self) -> str:
         return self.replanner.held
@@ -198,6 +201,10 @@ class StompPlannerNode(GraphNode):
         now_ns = self.get_clock().now().nanoseconds
         age_s = (now_ns - stamp_ns) * 1e-9
         lossless = self.settings.lossless
+        late = self.others.late() if self.begun and not lossless else ""
+        if late:  # who of the two was first is not known: both leave the arm alone
+            self.publish(self._hold(f"{_TWO}: {late} commands this arm, too"), stamp_ns, received_s)
+            self.begun = False
         if -age_s > self.settings.max_ahead_s and not lossless:
             reason = f"stamp ahead: the human data's clock is {-age_s:.3g} s ahead, at most"
             self._answer_with_hold(f"{reason} {self.settings.max_ahead_s:g} s are allowed", stamp_ns, received_s)
@@ -243,9 +250,12 @@ class StompPlannerNode(GraphNode):
         if self.arm.q is None:
             self._wait_with_hold(f"no arm: its joints have not come on {topics.JOINT_STATES}", stamp_ns)
             return False
-        others = other_commanders(self)
+        others = self.others.names()
         if others:
-            self._wait_with_hold(f"two planners: {others} commands this arm already; end one of them", stamp_ns)
+            self._wait_with_hold(f"{_TWO}: {others} commands this arm already; end one of them", stamp_ns)
+            return False
+        if self._looks_around():
+            self._wait_with_hold(f"looking around: whether {_TWO} command this arm", stamp_ns)
             return False
         if not (self.settings.lossless or self.arm.following.known):
             self._wait_with_hold("arm not known: waiting to see whether it rests", stamp_ns)
@@ -260,11 +270,15 @@ class StompPlannerNode(GraphNode):
                 return False
             self.begun, self.origin_ns, self.last_ns = True, stamp_ns, stamp_ns
             self.stepped_s = time.monotonic()
+            self.others.begin()
             if not (self.settings.lossless or self.arm.following.at_rest):
                 self.lost_s = -_RETRY_S
                 reason = "the arm moves, and not at this planner's command: it is stopped"
                 self.publish(self.replanner.correct(self.arm.q, self.arm.v, 0.0, reason), stamp_ns, received_s)
         return True
+
+    def _looks_around(self) -> bool:
+        return not (self.begun or self.settings.lossless) and self.others.looking()
 
     def _wait_with_hold(self, reason: str, stamp_ns: int) -> None:
         """Refuse to begin, with a decision that says why: whoever listens must not take silence for work."""

@@ -314,6 +314,44 @@ def test_the_planner_holds_on_occupancy_it_cannot_use(ros: Callable[..., Any]) -
     assert decisions[-1].status[0].message in ("replan", "keep")
 
 
+def test_a_planner_that_finds_another_just_after_it_began_leaves_the_arm_alone(ros: Callable[..., Any]) -> None:
+    node = ros(StompPlannerNode, {"scene": "face_to_face", "iterations": "5"})
+    decisions: list[Any] = []
+    node.decision_publisher.publish = decisions.append
+    looking, late, names = True, "", ""
+    node.others = SimpleNamespace(looking=lambda: looking, late=lambda: late, names=lambda: names, begin=lambda: None)
+    nothing = Occupancy(SCENE.grid, np.zeros(SCENE.grid.shape, dtype=np.float32))
+
+    def answer() -> str:
+        """Return the answer to an occupancy, with the arm at rest."""
+        n_before = len(decisions)
+        until_s = time.monotonic() + 30.0
+        while len(decisions) == n_before and time.monotonic() < until_s:
+            now_ns = node.get_clock().now().nanoseconds
+            node.on_joint_state(conversions.joint_state(node.replanner.joint_names, SCENE.start, now_ns))
+            node.on_occupancy(conversions.occupancy_cloud(nothing, 0.0, now_ns))
+            time.sleep(0.01)
+        (status,) = decisions[-1].status
+        return f"{status.message} " + next(item.value for item in status.values if item.key == "reason")
+
+    assert answer().startswith("hold looking around: whether two planners command this arm")
+    node.commander.waiting_for = str
+    assert node.waiting_for() == "other planners to be heard of, if there are any"
+    looking = False
+    while answer().startswith("hold arm not known"):
+        pass
+    assert node.begun
+    late = names = "/the_first"
+    answer()
+    assert not node.begun
+    late = ""
+    assert answer() == "hold two planners: /the_first commands this arm already; end one of them"
+    names = ""
+    answer()
+    assert node.begun
+    node.close()
+
+
 def test_rollouts_are_kept_only_for_someone_who_looks(ros: Callable[..., Any]) -> None:
     node = ros(StompPlannerNode, {"scene": "face_to_face", "lossless": "true", "iterations": "5", "rollouts": "6"})
     node.on_joint_state(conversions.joint_state(node.replanner.joint_names, SCENE.start, 1))

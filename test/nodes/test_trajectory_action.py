@@ -31,7 +31,7 @@ from waiting import wait_until
 
 from humanpred_ros import topics
 from humanpred_ros.nodes import conversions, qos
-from humanpred_ros.nodes.commander import ActionCommander, TopicCommander, other_commanders
+from humanpred_ros.nodes.commander import ActionCommander, OtherCommanders, TopicCommander
 from humanpred_ros.nodes.trajectory_action import action_name, action_type
 
 pytestmark = pytest.mark.usefixtures("control_msgs")
@@ -236,7 +236,7 @@ def test_a_controller_that_goes_is_named(tmp_path: Path) -> None:
 
 def test_who_else_commands_is_known_by_topic_and_by_action(arm: ArmClient) -> None:
     node = arm.node
-    arm.wait(lambda: other_commanders(node) == "", "the graph")
+    arm.wait(lambda: OtherCommanders(node).names() == "", "the graph")
     for name, make in (
         ("by_topic", lambda other: TopicCommander(other)),
         ("by_action", lambda other: ActionCommander(other, arm.failures.append)),
@@ -244,11 +244,12 @@ def test_who_else_commands_is_known_by_topic_and_by_action(arm: ArmClient) -> No
         other = rclpy.create_node(name, context=node.context, namespace="/cell")
         try:
             make(other)
-            arm.wait(lambda name=name: other_commanders(node) == f"/cell/{name}", f"{name} to be found")
-            arm.wait(lambda other=other: other_commanders(other) == "/simulated_arm_client", "the other one to see us")
+            arm.wait(lambda name=name: OtherCommanders(node).names() == f"/cell/{name}", f"{name} to be found")
+            seen = OtherCommanders(other)
+            arm.wait(lambda seen=seen: seen.names() == "/simulated_arm_client", "the other one to see us")
         finally:
             other.destroy_node()
-        arm.wait(lambda: other_commanders(node) == "", "the graph")
+        arm.wait(lambda: OtherCommanders(node).names() == "", "the graph")
 
 
 def test_without_control_msgs_the_error_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
