@@ -34,12 +34,16 @@ HOLDS, GOES_ON, OPEN = "holds", "goes on", "open"
 
 
 class TimedText(NamedTuple):
-    """A decision (action, reason, age of the data in s) or a status (node, text, level), and when it came."""
+    """A decision (action, reason, age of the data in s) or a status (node, text, level), and when it came.
+
+    A decision also has how long the planner took for it, ms.
+    """
 
     t_s: float
     name: str
     text: str
     value: float
+    took_ms: float = math.nan
 
 
 class ArmState(NamedTuple):
@@ -151,12 +155,13 @@ class Trial:
     gap_rad: float  #: farthest that a trajectory began from where the arm was measured
     data_age_s: float  #: greatest age of the human data on which the arm moved meanwhile
     speed: float  #: of the fastest joint when the fault was put in, rad/s
+    took_ms: float = math.nan  #: the planner, from the message that showed the fault to the hold it sent
     problems: tuple[str, ...] = ()  #: what was not as it should be
 
     @classmethod
     def not_begun(cls, why: str) -> Trial:
         """Return the trial of a fault that could not be put in."""
-        return cls(None, None, "", None, math.nan, math.nan, math.nan, (why,))
+        return cls(None, None, "", None, math.nan, math.nan, math.nan, problems=(why,))
 
 
 @dataclass(frozen=True)
@@ -195,6 +200,7 @@ def judged(heard: Heard, bounds: Bounds, began_s: float, ended_s: float, recover
         max(gaps, default=0.0),
         heard.oldest_data_s(began_s, ended_s),
         speed,
+        math.nan if hold is None else hold.took_ms,
     )
     problems = [] if bounds.outcome == OPEN else list(_problems(trial, bounds, holds))
     if hold is not None and bounds.rest_s is not None and bounds.outcome == HOLDS:

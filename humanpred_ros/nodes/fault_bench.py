@@ -8,6 +8,7 @@ arm does not work again afterwards. What only a guard outside the planner can ca
 
 from __future__ import annotations
 
+import math
 import tempfile
 import textwrap
 import time
@@ -17,6 +18,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from rich.console import Console
 
 from humanpred_ros.errors import UsageError
@@ -144,7 +146,15 @@ def _measured(settings: FaultBenchSettings, begin: Begin, rows: list[Row]) -> Re
         if settings.short:  # one graph takes less time to start than two
             chosen = [replace(fault, graph=RELAYED) for fault in chosen]
         travelled_rad = _try_all(chosen, folder, begin, rows)
-    notes = (f"The arm's joints moved {travelled_rad:.1f} rad meanwhile.", *load.notes())
+    took_ms = [trial.took_ms for row in rows for trial in row.trials if math.isfinite(trial.took_ms)]
+    notes = (
+        f"The arm's joints moved {travelled_rad:.1f} rad meanwhile.",
+        f"From the message that showed a fault to the planner's hold: {np.median(took_ms):.2f} ms in the median of "
+        f"{len(took_ms)} holds, {np.percentile(took_ms, 95):.2f} ms in 95 %, {max(took_ms):.2f} ms at most."
+        if took_ms
+        else "The planner sent no hold.",
+        *load.notes(),
+    )
     if whole:
         with replacing(settings.page) as path:
             path.write_text(page(rows, notes), encoding="utf-8")
@@ -153,7 +163,7 @@ def _measured(settings: FaultBenchSettings, begin: Begin, rows: list[Row]) -> Re
         (Table("", rows, _COLUMNS),),
         {
             "bound_s": MAX_AGE_S + STOPPING_S, "gap_rad": GAP_RAD, "travelled_rad": travelled_rad,
-            "other_cores": load.other_cores(),
+            "hold_ms": took_ms, "other_cores": load.other_cores(),
             "faults": [
                 {"fault": row.fault.name, "expected": row.fault.expected, "observed": row.observed,
                  "verdict": row.verdict, "trials": row.trials}

@@ -156,7 +156,8 @@ class Wire:
         head = message.status[0]
         values = {item.key: item.value for item in head.values}
         age_s = time.time() - conversions.stamp_ns(message.header.stamp) * 1e-9
-        self.heard.decisions.append(TimedText(time.monotonic(), head.message, values.get("reason", ""), age_s))
+        took_ms = float(values.get("compute_ms", "nan"))
+        self.heard.decisions.append(TimedText(time.monotonic(), head.message, values.get("reason", ""), age_s, took_ms))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import threading
 import time
 import traceback
@@ -40,6 +41,8 @@ _LAST_WORD_S = 1.0
 #: A trajectory that ends sooner could be over before the controller has it, s.
 _LEAST_S = 0.1
 _TWO = "two planners"
+#: Threads of the process take turns so often, s.
+_SWITCH_S = 5e-4
 #: Share of a step after its occupancy's stamp that STOMP may take in real time: few goals answer sooner.
 _SHARE_PER_GOAL, _LEAST_SHARE = 0.16, 0.25
 
@@ -61,6 +64,7 @@ class StompPlannerNode(GraphNode):
 
     def __init__(self) -> None:
         super().__init__("stomp_planner")
+        self.others = OtherCommanders(self)  # what takes long below is time for others to be heard of
         self.settings = settings = declare(self, StompPlannerSettings)
         self.scene = load_scene(settings.scene)
         with compiled.announced("STOMP planner", self.get_logger().info):
@@ -78,7 +82,6 @@ class StompPlannerNode(GraphNode):
         self.n_holds, self.hold_reason = 0, ""
         self.last_refusal = ""
 
-        self.others = OtherCommanders(self)
         self.commander = commander(self, settings.command_by, settings.controller, self.on_failed)
         self.decision_publisher = self.create_publisher(DiagnosticArray, topics.DECISION, qos.SENSOR_PUBLISHER)
         self.pictures = PlanPictures(self, self.replanner.tool_path)
@@ -94,6 +97,8 @@ class StompPlannerNode(GraphNode):
         self._closing, self._asked = threading.Event(), threading.Event()
         # With how many holds there were before it came: an older one ends none.
         self._newest: deque[tuple[Occupancy, int, float, int]] = deque(maxlen=1)
+        # A plan that is ready, or a message that calls for a hold, must not wait 5 ms for the other thread's turn.
+        sys.setswitchinterval(_SWITCH_S)
         work = () if settings.lossless else (self._plan, self._watch)
         self._threads = [threading.Thread(target=self._guarded, args=(target,), daemon=True) for target in work]
         for thread in self._threads:
@@ -152,6 +157,7 @@ class StompPlannerNode(GraphNode):
         """Compare where the arm is with where it was commanded to be; return False for other joints' messages."""
         if not set(message.name) & set(self.replanner.joint_names):
             return False
+        received_s = time.perf_counter()
         with self.replanner.lock:
             try:
                 if not self.arm.take(message, self.get_clock().now().nanoseconds):
@@ -162,37 +168,38 @@ class StompPlannerNode(GraphNode):
                 return True
             # After the clock was set back, what was commanded when means nothing: the next occupancy begins anew.
             if self.begun and not (self.settings.lossless or self._clock_is_back()):
-                self._check_arm(self.arm)
+                self._check_arm(self.arm, received_s)
         return True
 
-    def _check_arm(self, arm: MeasuredArm) -> None:
+    def _check_arm(self, arm: MeasuredArm, received_s: float) -> None:
         """Hold when the arm is not where it was commanded to be; go on from where it is once it rests."""
         now_s = self.now_s()
         assert arm.q is not None
         if not self.replanner.lost:
             trouble = self.replanner.arm_trouble(arm.following, arm.q, now_s, arm.late_s)
             if trouble:
-                self._lose(trouble)
+                self._lose(trouble, received_s)
         elif arm.following.at_rest and arm.came_s - self.lost_s >= _RETRY_S and not self.commander.waiting_for():
             try:
                 self.replanner.regain(self.replanner.nearest_start(arm.q, self.settings.start_slack_rad), now_s)
             except PlanningError as error:
                 self.refuse(str(error))
 
-    def _lose(self, reason: str) -> None:
+    def _lose(self, reason: str, received_s: float) -> None:
         """Tell the arm to stay where it is by now, so that it does not go on by itself when it is free again."""
         self.lost_s = time.monotonic()
         decision = self.replanner.correct(self.arm.position_now(), self.arm.v, self.now_s(), reason)
-        self.publish(decision, self.last_ns, time.perf_counter())
+        self.publish(decision, self.last_ns, received_s)
 
     def on_failed(self, reason: str) -> None:
         """Take the arm for one that does not follow: its controller does not carry out what it was sent last."""
+        received_s = time.perf_counter()
         with self.replanner.lock:
             if self.replanner.lost:  # then it was the stop: sent again and again it would fare no better
                 self.lost_s = time.monotonic()
                 self.tell(("failed", kind_of(reason)), f"the arm was told to stay where it is, but {reason}")
             elif self.begun:
-                self._lose(reason)
+                self._lose(reason, received_s)
 
     def on_occupancy(self, message: PointCloud2) -> None:
         """Answer one occupancy with one decision."""
@@ -361,10 +368,11 @@ class StompPlannerNode(GraphNode):
     def _watch(self) -> None:
         """Hold when joint states, human data or finished steps have not come for too long."""
         while not self._closing.wait(_WATCH_PERIOD_S):
+            looked_s = time.perf_counter()
             with self.replanner.lock:
                 reason = self._overdue(time.monotonic()) if self.begun else ""
                 if reason:
-                    self.publish(self._hold(reason), self.last_ns, time.perf_counter())
+                    self.publish(self._hold(reason), self.last_ns, looked_s)
 
     def _overdue(self, now_s: float) -> str:
         """Return what has not come for too long; empty if nothing is overdue, or nothing new."""
