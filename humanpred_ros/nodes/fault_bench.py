@@ -200,13 +200,13 @@ def _try_all(faults: Sequence[Fault], folder: Path, begin: Begin, rows: list[Row
 
 def _trials(fault: Fault, graph: FaultGraph) -> Iterator[Trial]:
     for _ in range(_TRIALS):
-        trial = _trial(fault, graph)
+        trial = tried(fault, graph)
         yield trial
         if trial.recovered_s is None:
             return
 
 
-def _trial(fault: Fault, graph: FaultGraph) -> Trial:
+def tried(fault: Fault, graph: FaultGraph) -> Trial:
     """Put a fault in while the arm moves, take it away, and wait until the arm works again."""
     wire, heard = graph.wire, graph.wire.heard
     wire.wait(lambda: False, _CALM_S)  # what the last fault left behind shows by then

@@ -49,7 +49,7 @@ _LIBRARY = "synthetic_reaches"
 #: Classes of the reaches, and the arm's goals where they end.
 _CLASSES, _GOALS = (3, 5), ("place 3", "place 5")
 #: Length of the replayed motion; pause at the end of each reach; way from one to the next, s. A sensor's noise.
-_SECONDS, _PAUSE_S, _BETWEEN_S, _NOISE = 600.0, 1.0, 0.5, 1e-4
+SECONDS, _PAUSE_S, _BETWEEN_S, _NOISE = 600.0, 1.0, 0.5, 1e-4
 #: Of the URDF's limits; slow, so that the arm is on its way for long.
 VELOCITY_SCALE = 0.1
 #: As in the demo, about, and fewer iterations: on a busy machine a step takes its time.
@@ -69,8 +69,8 @@ _RELAYED = (POSTURES, topics.OCCUPANCY, topics.JOINT_STATES, topics.TRAJECTORY)
 class Inputs:
     """What the nodes are given: files in a folder."""
 
-    def __init__(self, folder: Path) -> None:
-        """Write scene and motion; find or train the model."""
+    def __init__(self, folder: Path, seconds: float = SECONDS) -> None:
+        """Write a scene and a motion of that length; find or train the model."""
         self.folder = folder
         library = load_library(locate(_LIBRARY, "bags"))
         human = human_with(library.dof_names)
@@ -79,17 +79,17 @@ class Inputs:
         palm_y = {
             m.name: [human.forward(q)["right_palm"][1] for q in m.q] for k in _CLASSES for m in library.of_class(k)
         }
-        played = MotionLibrary("two_places", (_reaches(library, palm_y),), library.provenance)
+        played = MotionLibrary("two_places", (_reaches(library, palm_y, seconds),), library.provenance)
         self.motion = write_library_bag(played, folder / "motion")
 
 
-def _reaches(library: MotionLibrary, palm_y: dict[str, list[float]]) -> Motion:
+def _reaches(library: MotionLibrary, palm_y: dict[str, list[float]], seconds: float) -> Motion:
     """Return reaches to the places in turn, with a pause at each: one motion at `RATE_HZ`."""
     rng = np.random.default_rng(0)
     parts: list[Any] = []
     of_class = [library.of_class(label) for label in _CLASSES]
     k = frames = 0
-    while frames < _SECONDS * RATE_HZ:
+    while frames < seconds * RATE_HZ:
         motions = of_class[k % len(of_class)]
         whole = motions[k // len(of_class) % len(motions)]
         farthest = int(np.argmax(palm_y[whole.name]))
@@ -195,6 +195,10 @@ class FaultGraph:
             last = [entry for entry in self._group.nodes if entry.name == node][-1]
             raise UsageError(f"bench faults: the {NODES[node]} has ended by itself; the end of its log:\n{last.tail()}")
         return running[-1]
+
+    def processes(self) -> list[NodeProcess]:
+        """Return those of the nodes that run."""
+        return [entry for entry in self._group.nodes if entry.running]
 
     def signal(self, node: str, number: int) -> None:
         """Send a signal to a node's process."""
