@@ -29,6 +29,7 @@ def setting(
     low: float | None = None,
     high: float | None = None,
     changeable: bool = False,
+    restart: str = "",
     positional: bool = False,
     bare: Any = None,
 ) -> Any:
@@ -40,6 +41,7 @@ def setting(
         unit: of the value, for people.
         low, high: smallest and largest value allowed (of numbers, or of each number of a tuple).
         changeable: whether the ROS parameter may be changed while the node runs.
+        restart: why another one may not, where that tells more than that it is read when the node is configured.
         positional: whether it is given on the command line by its place instead of `--name`.
         bare: value of a flag that is given without one; None where a flag needs its value.
     """
@@ -49,6 +51,7 @@ def setting(
         "low": low,
         "high": high,
         "changeable": changeable,
+        "restart": restart,
         "positional": positional,
         "bare": bare,
     }

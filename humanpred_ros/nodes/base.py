@@ -17,7 +17,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
@@ -28,19 +27,21 @@ from humanpred_ros import topics
 from humanpred_ros.errors import HumanPredError, UsageError, one_line
 from humanpred_ros.nodes import qos
 from humanpred_ros.nodes.inputs import Change, Input, Refusals
+from humanpred_ros.nodes.lifecycle import ManagedNode
 
 READY = "ready"
 _STATUS_PERIOD_S = 0.2
 _SIGNAL_PERIOD_S = 0.1
 
 
-class GraphNode(Node):
-    """A node that tells on /diagnostics what it does, from what, and what keeps it from doing it.
+class GraphNode(ManagedNode):
+    """A managed node that tells on /diagnostics what it does, from what, and what keeps it from doing it.
 
     Level: OK while the node does its work, or can do it as soon as it is asked; WARN while it waits or holds, while a
-    warning stands, and for a few seconds after it refused something: this goes away by itself; ERROR for what somebody
-    must put right. Message: the state. Values: whether it is `ready`, then each input's age, rate and latency, what the
-    node itself has to tell, what it refused, and its warnings.
+    warning stands, and for a few seconds after it refused something: this goes away by itself; also while it is not
+    active; ERROR for what somebody must put right. Message: what it does, or its state while it is not active. Values:
+    whether it is `ready`, then each input's age, rate and latency, what the node itself has to tell, what it refused,
+    and its warnings.
 
     Readiness is a matter of the graph, not of a node alone: a node is ready once the peers it cannot do
     without have been matched, so that nothing sent from then on is lost (`waiting_for`).
@@ -50,7 +51,6 @@ class GraphNode(Node):
         refused: how often what was refused, by kind.
         warnings: that stand, by what they are about.
         hardware_id: what the status is about, for those who group by it; the node itself unless set.
-        failure: the error that ended the node.
     """
 
     def __init__(self, name: str) -> None:
@@ -60,7 +60,6 @@ class GraphNode(Node):
         self.refused = self._refusals.counts
         self.warnings: dict[str, str] = {}
         self.hardware_id = self.get_fully_qualified_name()
-        self.failure: HumanPredError | None = None
         self._change = Change()
         self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, qos.COMMAND)
         # Steady time: a paused or stepped /clock must not silence the diagnostics.
@@ -154,8 +153,9 @@ class GraphNode(Node):
 
     def publish_status(self) -> None:
         """Publish level, state and values, as described above."""
+        self.end_if_asked()
         now_s = time.monotonic()
-        waiting = self.waiting_for()
+        waiting = self.waiting_for() if self.connected else self.state
         level, message = self._state(waiting, now_s)
         values = {
             "ready": str(not waiting).lower(),
@@ -164,7 +164,7 @@ class GraphNode(Node):
                 for topic, heard in self.inputs.items()
                 for name, text in heard.facts(now_s).items()
             },
-            **self.facts(),
+            **(self.facts() if self.connected else {}),
             # Copies: other threads of a node refuse, too.
             **{f"refused/{kind}": str(count) for kind, count in dict(self.refused).items()},
             **{f"warning/{about}": text for about, text in self.warnings.items()},
@@ -181,6 +181,10 @@ class GraphNode(Node):
         self._diagnostics.publish(array)
 
     def _state(self, waiting: str, now_s: float) -> tuple[bytes, str]:
+        if not self.connected:
+            if self.failure is None:
+                return DiagnosticStatus.WARN, self.state
+            return DiagnosticStatus.ERROR, one_line(f"{self.state}: {self.failure}")
         fault, holding = self.fault(), self.holding_because()
         silent = [heard.silence() for heard in self.inputs.values() if heard.silent(now_s)]
         if fault:
@@ -192,13 +196,10 @@ class GraphNode(Node):
         fine = not (self.warnings or self._refusals.recent())
         return DiagnosticStatus.OK if fine else DiagnosticStatus.WARN, self.working()
 
-    def stop_with(self, error: HumanPredError) -> None:
-        """End the process with this error: called from callbacks, where raising would only print a trace."""
-        self.failure = error
-        rclpy.try_shutdown()
-
-    def close(self) -> None:
-        """Release what must not be lost when the process ends; called once, whatever ended it."""
+    def disconnect(self) -> None:
+        super().disconnect()
+        self.inputs.clear()
+        self.warnings = {}
 
 
 class _Signals:
@@ -209,33 +210,34 @@ class _Signals:
 
     def __init__(self) -> None:
         self.came = False
-        self.spinning = False
+        self.node: GraphNode | None = None
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self.came = True
-        if not self.spinning:  # still loading, training or compiling: nothing to save yet
+        if self.node is None or not self.node.connected:  # loading, training, compiling: nothing to save yet
             raise KeyboardInterrupt
 
 
 def run_node(make_node: Callable[[], GraphNode], arguments: list[str] | None = None) -> int:
-    """Spin the node until a signal or its own end; return the process's exit status.
+    """Spin the node, active unless a manager makes it so, until a signal or its own end; return the exit status.
 
     Status 0 after a signal or a finished job, 2 with one line on stderr for a HumanPredError and for
     arguments that cannot be used.
     """
     node: GraphNode | None = None
-    failure: HumanPredError | None = None
+    failure: Exception | None = None
     signals = _Signals()
     try:
         _initialise(sys.argv if arguments is None else arguments)
-        node = make_node()
+        node = signals.node = make_node()
+        if not node.managed:
+            node.start()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        signals.spinning = True
         while rclpy.ok() and not signals.came:
-            executor.spin_once(timeout_sec=_SIGNAL_PERIOD_S)
+            _spin_once(executor, node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except HumanPredError as error:
@@ -258,6 +260,18 @@ def run_node(make_node: Callable[[], GraphNode], arguments: list[str] | None = N
             print(f"{Path(sys.argv[0]).stem}: {' '.join(str(failure).split())}", file=sys.stderr, flush=True)
         return 2
     return 0
+
+
+def _spin_once(executor: SingleThreadedExecutor, node: GraphNode) -> None:
+    """Wait for something to do; an error that nobody foresaw ends a node, or leaves it inactive under a manager."""
+    try:
+        executor.spin_once(timeout_sec=_SIGNAL_PERIOD_S)
+    except ExternalShutdownException:
+        raise
+    except Exception as error:
+        if not node.managed:
+            raise
+        node.survive(error)
 
 
 def entry_point(make_node: Callable[[], GraphNode]) -> Callable[[], None]:

@@ -45,6 +45,7 @@ from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.nodes import conversions, measured_arm, stomp_planner
 from humanpred_ros.nodes.base import GraphNode
+from humanpred_ros.nodes.lifecycle import started
 from humanpred_ros.nodes.mutations import Mutator
 from humanpred_ros.nodes.occupancy_predictor import OccupancyPredictorNode
 from humanpred_ros.nodes.occupancy_replay import OccupancyReplay
@@ -491,7 +492,7 @@ def fuzz(names: list[str], n: int, seed: int) -> None:
             for key, value in target.prepare(bench).items():
                 arguments += ["-p", f"{key}:={value}"]
             rclpy.init(args=arguments)
-            node: Any = target.make()
+            node: Any = started(target.make)
             try:
                 told = Fuzzing(target, bench, seed).run(node, n)
             finally:

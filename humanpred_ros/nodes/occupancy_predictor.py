@@ -26,6 +26,7 @@ from humanpred_ros.motion.motion import placed_postures
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.frames import TrackerFrames, tf_lookup
+from humanpred_ros.nodes.lifecycle import NodeSettings
 from humanpred_ros.nodes.markers import occupancy_markers
 from humanpred_ros.nodes.parameters import declare, declare_plugin, plugin_parameters
 from humanpred_ros.occupancy.predictor import (
@@ -53,7 +54,7 @@ _MARKER_PERIOD_NS = 200_000_000
 _REACH_PERIOD_NS = 1_000_000_000
 
 
-class OccupancyPredictorSettings(PlausibilitySettings, StampSettings):
+class OccupancyPredictorSettings(PlausibilitySettings, StampSettings, NodeSettings):
     """Parameters of `occupancy_predictor`."""
 
     scene: str = setting("face_to_face", "scene name in config/scenes, or a YAML file")
@@ -97,8 +98,10 @@ class OccupancyPredictorNode(GraphNode):
 
     def __init__(self) -> None:
         super().__init__("occupancy_predictor")
+
+    def configure(self) -> None:
         self.settings = settings = declare(self, OccupancyPredictorSettings)
-        scene = load_scene(settings.scene)
+        self.scene = scene = load_scene(settings.scene)
         self.human = human_named(settings.human)
         self.T_world_human = scene.T_world_human
         # Named wrongly, these should not cost a training first.
@@ -118,6 +121,9 @@ class OccupancyPredictorNode(GraphNode):
                 self.reaching = self._reaching(scene, told, cast("ReachingSettings", own))
             self.predictor = self.reaching or self._trained(scene, own, given[settings.classifier])
         declare_plugin(self, settings.predictor, own)
+
+    def activate(self) -> None:
+        scene, settings = self.scene, self.settings
         self.plausibility = PlausibilityCheck(
             self.human, scene.grid, scene.T_world_human, settings.part(PlausibilitySettings)
         )
@@ -139,7 +145,6 @@ class OccupancyPredictorNode(GraphNode):
         self.marker_publisher = self.create_publisher(MarkerArray, topics.OCCUPANCY_MARKERS, qos.MARKERS)
         self.grid_publisher = self.create_publisher(String, topics.VOXEL_GRID, qos.LATCHED)
         self.grid_publisher.publish(String(data=conversions.grid_description(scene.grid)))
-        self.add_on_set_parameters_callback(self.on_parameters)
         postures = topics.human_joint_states(settings.body_id)
         self.hardware_id = postures.rpartition("/")[0]
         self.listen(Bool, topics.human_held(settings.body_id), self.on_held, qos.LATCHED)
@@ -230,7 +235,7 @@ class OccupancyPredictorNode(GraphNode):
         return None if told is None else told.by_label
 
     def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Take other places at run time; everything else is read-only."""
+        """Take other places at run time."""
         try:
             told = [self._told(parameter.value or []) for parameter in parameters if parameter.name == "places"]
             if told and self.reaching is not None:

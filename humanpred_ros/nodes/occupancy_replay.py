@@ -12,12 +12,13 @@ from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.errors import BagError
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import entry_point
+from humanpred_ros.nodes.lifecycle import NodeSettings
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.nodes.stepping import SteppedSource
-from humanpred_ros.settings import Settings, setting
+from humanpred_ros.settings import setting
 
 
-class OccupancyReplaySettings(Settings):
+class OccupancyReplaySettings(NodeSettings):
     """Parameters of `occupancy_replay`."""
 
     bag: str = setting("", "bag of a recorded run")
@@ -32,7 +33,9 @@ class OccupancyReplay(SteppedSource):
 
     def __init__(self) -> None:
         super().__init__("occupancy_replay")
-        settings = declare(self, OccupancyReplaySettings)
+
+    def configure(self) -> None:
+        self.settings = settings = declare(self, OccupancyReplaySettings)
         bag = BagReader(settings.bag)
         for topic, msgtype in ((topics.OCCUPANCY, POINT_CLOUD2), (topics.JOINT_STATES, JOINT_STATE)):
             bag.require_topic(topic, msgtype)
@@ -47,13 +50,15 @@ class OccupancyReplay(SteppedSource):
         if not self.clouds or arm is None:
             raise BagError(f"{settings.bag}: wanted decisions, occupancies and joint states, got no complete set")
         self.arm = arm
+
+    def activate(self) -> None:
         self.next = 0
         self.publisher = self.create_publisher(PointCloud2, topics.OCCUPANCY, qos.SENSOR_PUBLISHER)
         self.arm_publisher = self.create_publisher(JointState, topics.JOINT_STATES, qos.SENSOR_PUBLISHER)
         self.arm_timer = self.create_timer(
             0.1, lambda: self.arm_publisher.publish(self.arm), clock=self._status_timer.clock
         )
-        self.wait_for_graph(stepped=True, clock=True, peers=settings.wait_for, patience_s=(180.0, 30.0))
+        self.wait_for_graph(stepped=True, clock=True, peers=self.settings.wait_for, patience_s=(180.0, 30.0))
 
     def waiting_for(self) -> str:
         return super().waiting_for() or self.unmatched(self.publisher, "stomp_planner")
@@ -71,7 +76,7 @@ class OccupancyReplay(SteppedSource):
         self.publisher.publish(cloud)
 
     def finish(self, reason: str) -> None:
-        """End the process once everything sent has arrived."""
+        """End the work once everything sent has arrived."""
         self.publisher.wait_for_all_acked(Duration(seconds=1))
         super().finish(reason)
 

@@ -28,41 +28,52 @@ _KINDS = {
     list: "a list of texts",
 }
 _LARGEST_INT = 2**63 - 1
+#: Why a parameter is not changed at run time.
+RESTART = "cannot change at run time: start the node anew with it"
+RECONFIGURE = f"{RESTART}, or clean the node up, set it, and configure it again"
 #: Declared by rclpy itself, some only once a publisher or subscription asks for them.
 _RCLPY_PREFIXES = ("qos_overrides.",)
 
 
 def declare(node: Node, settings_type: type[T]) -> T:
-    """Declare one ROS parameter per field of a settings class, read-only unless changeable, and return their values.
+    """Declare one ROS parameter per field of a settings class, and return their values.
+
+    A parameter that cannot change at run time says so as its additional constraint.
 
     Raises:
         UsageError: a parameter of the wrong type, with a value that cannot be used, or of a name that no node of this
             package has (ROS itself would ignore it).
     """
-    # rclpy offers no public way to see what was given before it is declared.
-    given = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
-    _refuse_unknown(node, settings_type, list(given))
-    values: dict[str, Any] = {}
-    for name, field in settings_type.model_fields.items():
-        default = list(field.default) if isinstance(field.default, tuple) else field.default
-        try:
-            value = node.declare_parameter(name, default, _descriptor(field, default)).value
-        except InvalidParameterTypeException as trouble:
-            raise UsageError(
-                f"parameter {name} ({field.description}): wanted {_KINDS[type(default)]}, "
-                f"got {given[name]!r}{_remedy(name, default, given[name])}"
-            ) from trouble
-        except InvalidParameterValueException as trouble:
-            low, high = facts_of(field)["low"], facts_of(field)["high"]
-            raise UsageError(
-                f"parameter {name} ({field.description}): wanted a value from {low} to {high}, got {given[name]!r}"
-            ) from trouble
-        # An empty list has no type in ROS, so that it arrives as if nothing had been given.
-        values[name] = default if value is None else value
+    _refuse_unknown(node, settings_type, list(node._parameter_overrides))
+    values = {name: declare_setting(node, name, field) for name, field in settings_type.model_fields.items()}
     try:
         return settings_type(**values)
     except SettingsError as error:
         raise UsageError(spelled(error, settings_type, lambda name: f"parameter {name}")) from error
+
+
+def declare_setting(node: Node, name: str, field: FieldInfo) -> Any:
+    """Declare a parameter that is not declared yet, as the field of a settings class says, and return its value.
+
+    Raises:
+        UsageError: a value of the wrong type, or out of range.
+    """
+    default = list(field.default) if isinstance(field.default, tuple) else field.default
+    try:
+        if node.has_parameter(name):
+            value = node.get_parameter(name).value
+        else:
+            value = node.declare_parameter(name, default, _descriptor(field, default)).value
+    except (InvalidParameterTypeException, InvalidParameterValueException) as trouble:
+        # rclpy offers no public way to see what was given before it is declared.
+        given = node._parameter_overrides[name].value
+        low, high = facts_of(field)["low"], facts_of(field)["high"]
+        kind = isinstance(trouble, InvalidParameterTypeException)
+        wanted = _KINDS[type(default)] if kind else f"a value from {low} to {high}"
+        remedy = _remedy(name, default, given) if kind else ""
+        raise UsageError(f"parameter {name} ({field.description}): wanted {wanted}, got {given!r}{remedy}") from trouble
+    # An empty list has no type in ROS, so that it arrives as if nothing had been given.
+    return default if value is None else value
 
 
 def plugin_parameters(node: Node, names: Iterable[str]) -> dict[str, dict[str, Any]]:
@@ -76,20 +87,24 @@ def plugin_parameters(node: Node, names: Iterable[str]) -> dict[str, dict[str, A
 
 
 def declare_plugin(node: Node, name: str, settings: Settings) -> None:
-    """Declare the settings that a plug-in really has as read-only parameters NAME.SETTING.
+    """Declare the settings that a plug-in really has as parameters NAME.SETTING, which cannot change.
 
     Those that ROS has no type for are left out: none, and settings within settings.
     """
     for key, field in type(settings).model_fields.items():
         value = getattr(settings, key)
         if isinstance(value, str | bool | int | float) and not node.has_parameter(f"{name}.{key}"):
-            node.declare_parameter(f"{name}.{key}", value, _descriptor(field, value), ignore_override=True)
+            descriptor = _descriptor(field, value)
+            descriptor.additional_constraints = RESTART
+            node.declare_parameter(f"{name}.{key}", value, descriptor, ignore_override=True)
 
 
 def _descriptor(field: FieldInfo, value: Any) -> ParameterDescriptor:
     facts = facts_of(field)
     low, high = facts["low"], facts["high"]
-    descriptor = ParameterDescriptor(description=field.description, read_only=not facts["changeable"])
+    # Not read-only: ROS would refuse a change without saying why.
+    constraint = "" if facts["changeable"] else "; ".join(part for part in (RECONFIGURE, facts["restart"]) if part)
+    descriptor = ParameterDescriptor(description=field.description, additional_constraints=constraint)
     if low is None and high is None:
         return descriptor
     if isinstance(value, int):

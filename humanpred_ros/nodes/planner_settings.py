@@ -5,14 +5,15 @@ from __future__ import annotations
 from typing import Literal
 
 from humanpred_ros.errors import SettingsError
+from humanpred_ros.nodes.lifecycle import NodeSettings
 from humanpred_ros.planning.following import FollowingSettings
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.plugins import Given
-from humanpred_ros.settings import Settings, setting, setting_of
+from humanpred_ros.settings import setting, setting_of
 from humanpred_ros.stomp.config import StompConfig
 
 
-class StompPlannerSettings(Settings):
+class StompPlannerSettings(NodeSettings):
     """Parameters of `stomp_planner`."""
 
     scene: str = setting("face_to_face", "scene name in config/scenes, or a YAML file")

@@ -21,13 +21,14 @@ from humanpred_ros.bags.writer import BagWriter
 from humanpred_ros.errors import BagError, UsageError
 from humanpred_ros.nodes import qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
+from humanpred_ros.nodes.lifecycle import NodeSettings
 from humanpred_ros.nodes.parameters import declare
-from humanpred_ros.settings import Settings, setting
+from humanpred_ros.settings import setting
 
 _FLUSH_PERIOD_S = 0.5
 
 
-class RunRecorderSettings(Settings):
+class RunRecorderSettings(NodeSettings):
     """Parameters of `run_recorder`."""
 
     output: str = setting("", "folder of the bag; must not exist yet")
@@ -54,6 +55,8 @@ class RunRecorder(GraphNode):
 
     def __init__(self) -> None:
         super().__init__("run_recorder")
+
+    def configure(self) -> None:
         self.settings = settings = declare(self, RunRecorderSettings)
         if not settings.output:
             raise UsageError("parameter output: wanted the folder of the new bag, got nothing")
@@ -63,8 +66,9 @@ class RunRecorder(GraphNode):
             raise UsageError(f"parameter run_info: wanted a JSON object; {error}") from error
         if not isinstance(info, dict):
             raise UsageError(f"parameter run_info: wanted a JSON object, got {settings.run_info}")
+        self.run_info = {key: str(value) for key, value in info.items()}
         body = settings.body_id
-        recorded: list[tuple[str, Any, Any]] = [
+        self.recorded: list[tuple[str, Any, Any]] = [
             (topics.human_joint_states(body), JointState, qos.LOSSLESS),
             (topics.human_urdf(body), String, qos.LATCHED),
             (topics.OCCUPANCY, PointCloud2, qos.LOSSLESS),
@@ -77,20 +81,24 @@ class RunRecorder(GraphNode):
             (topics.CLOCK, Clock, qos.LOSSLESS),
         ]
         if settings.markers:
-            recorded += [
+            self.recorded += [
                 (topics.human_markers(body), MarkerArray, qos.LOSSLESS),
                 (topics.OCCUPANCY_MARKERS, MarkerArray, qos.LOSSLESS),
                 (topics.CANDIDATES, MarkerArray, qos.LOSSLESS),
                 (topics.ROLLOUTS, MarkerArray, qos.LOSSLESS),
             ]
         self.wanted = [topic for topic in settings.wait_for.replace("<id>", body).split(",") if topic]
-        unknown = [topic for topic in self.wanted if topic not in {name for name, _, _ in recorded}]
+        unknown = [topic for topic in self.wanted if topic not in {name for name, _, _ in self.recorded}]
         if unknown:
             raise UsageError(f"parameter wait_for: wanted recorded topics, got {', '.join(unknown)}")
-        self.hardware_id = str(Path(settings.output).resolve())
-        self.writer = BagWriter(settings.output)
-        self.writer.add_metadata("run", {key: str(value) for key, value in info.items()})
-        for topic, kind, profile in recorded:
+
+    def activate(self) -> None:
+        # One that is activated again begins another bag, beside the first one.
+        self.output = output = self.settings.output + (f"_{self.activations + 1}" if self.activations else "")
+        self.hardware_id = str(Path(output).resolve())
+        self.writer = BagWriter(output)
+        self.writer.add_metadata("run", self.run_info)
+        for topic, kind, profile in self.recorded:
             self._record(topic, kind, profile)
         flush = partial(self._unless_refused, self.writer.flush)
         self.create_timer(_FLUSH_PERIOD_S, flush, clock=self._status_timer.clock)
@@ -129,11 +137,11 @@ class RunRecorder(GraphNode):
         missing = [topic for topic in self.wanted if not self.inputs[topic].publishers()]
         return f"a publisher of {', '.join(missing)}" if missing else ""
 
-    def close(self) -> None:
+    def deactivate(self) -> None:
         """Finish the bag: without this it would have to be salvaged."""
         if self.failure is None:
             self.writer.close()
-            self.get_logger().info(f"bag written: {self.settings.output}")
+            self.get_logger().info(f"bag written: {self.output}")
 
 
 main = entry_point(RunRecorder)

@@ -12,6 +12,7 @@ from humanpred_ros import topics
 from humanpred_ros.errors import UsageError
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
+from humanpred_ros.nodes.lifecycle import NodeSettings
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.nodes.trajectory_action import TrajectoryActionServer
 from humanpred_ros.nodes.trajectory_controller import ControllerSettings, TrajectoryController
@@ -20,7 +21,7 @@ from humanpred_ros.robot.scene_file import read_scene_file
 from humanpred_ros.settings import setting
 
 
-class SimulatedArmSettings(ControllerSettings):
+class SimulatedArmSettings(ControllerSettings, NodeSettings):
     """Parameters of `simulated_arm`."""
 
     scene: str = setting("face_to_face", "scene whose start configuration the arm is in")
@@ -42,7 +43,9 @@ class SimulatedArm(GraphNode):
 
     def __init__(self) -> None:
         super().__init__("simulated_arm")
-        settings = declare(self, SimulatedArmSettings)
+
+    def configure(self) -> None:
+        self.settings = settings = declare(self, SimulatedArmSettings)
         self.controller = TrajectoryController(
             RIGHT_ARM_JOINTS,
             read_scene_file(settings.scene).angle("start"),
@@ -50,6 +53,9 @@ class SimulatedArm(GraphNode):
             settings.part(ControllerSettings),
         )
         self.controller.speed_factor, self.controller.stuck = settings.speed_factor, settings.stuck
+
+    def activate(self) -> None:
+        rate_hz = self.settings.rate_hz
         self.ended = ""
         # Made first, so that a trajectory and a clock tick that wait together are taken in this order.
         commands = self.listen(JointTrajectory, topics.TRAJECTORY, self.on_trajectory, qos.COMMAND)
@@ -60,22 +66,25 @@ class SimulatedArm(GraphNode):
         except UsageError as missing:
             self.get_logger().debug(str(missing))
         self.publisher = self.create_publisher(JointState, topics.JOINT_STATES, qos.SENSOR_PUBLISHER)
-        self.period_ns = round(conversions.NS_PER_S / settings.rate_hz)
+        self.period_ns = round(conversions.NS_PER_S / rate_hz)
         self.last_ns = -self.period_ns
         if self.get_parameter("use_sim_time").value:
             # A timer would skip ticks that come close together in wall time; every one matters in a stepped run.
             self.listen(Clock, topics.CLOCK, self.on_clock, qos.LOSSLESS)
         else:
-            self.create_timer(1.0 / settings.rate_hz, self.publish_now)
+            self.create_timer(1.0 / rate_hz, self.publish_now)
         # Before /clock ticks (it may wait for us), the start configuration must already be known.
-        self.add_on_set_parameters_callback(self.on_parameters)
         self.startup_timer = self.create_timer(0.1, self.publish_start, clock=self._status_timer.clock)
+
+    def deactivate(self) -> None:
+        """Rest where the arm is."""
+        self.controller.hold()
 
     def waiting_for(self) -> str:
         return self.unmatched(self.publisher, "")
 
     def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Slow down, pause or hold the arm at run time; everything else is read-only."""
+        """Slow down, pause or hold the arm at run time."""
         for parameter in parameters:
             if parameter.name in ("speed_factor", "stuck"):
                 setattr(self.controller, parameter.name, parameter.value)

@@ -17,11 +17,12 @@ from humanpred_ros.human.model import human_with
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import entry_point
+from humanpred_ros.nodes.lifecycle import NodeSettings
 from humanpred_ros.nodes.markers import skeleton_markers
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.nodes.stepping import SteppedSource
 from humanpred_ros.resources import locate
-from humanpred_ros.settings import Settings, setting
+from humanpred_ros.settings import setting
 
 #: Where simulated time starts: ROS reads time 0 as "no clock yet".
 SIMULATED_ORIGIN_NS = conversions.NS_PER_S
@@ -31,7 +32,7 @@ _CLOCK_STEP_NS = 50_000_000
 _MARKER_PERIOD_NS = 100_000_000
 
 
-class SkeletonTrackerReplaySettings(Settings):
+class SkeletonTrackerReplaySettings(NodeSettings):
     """Parameters of `skeleton_tracker_replay`."""
 
     library: str = setting("synthetic_reaches", "motion library: a rosbag2 directory, a CSV folder, or a shipped name")
@@ -68,13 +69,20 @@ class SkeletonTrackerReplay(SteppedSource):
 
     def __init__(self) -> None:
         super().__init__("skeleton_tracker_replay")
+
+    def configure(self) -> None:
         self.settings = settings = declare(self, SkeletonTrackerReplaySettings)
-        stepped = settings.mode == "stepped"
-        self.simulated_time = stepped or settings.publish_clock or settings.rate != 1.0
+        self.simulated_time = settings.mode == "stepped" or settings.publish_clock or settings.rate != 1.0
         library = load_library(locate(settings.library, "bags"))
         self.human = human_with(library.dof_names)
         self.motion = library.find(settings.trajectory)
         self.offsets_ns, self.postures = self._timeline()
+        self.get_logger().info(
+            f"motion {self.motion.name} of {library.name}: {len(self.motion)} postures, {self.motion.duration_s:.2f} s"
+        )
+
+    def activate(self) -> None:
+        settings = self.settings
         self.next_frame = 0
         self.origin_ns = SIMULATED_ORIGIN_NS
         self.last_clock_ns = self.last_marker_ns = -_MARKER_PERIOD_NS
@@ -89,11 +97,8 @@ class SkeletonTrackerReplay(SteppedSource):
         self.held_publisher.publish(Bool(data=False))
         self.urdf_publisher = self.create_publisher(String, topics.human_urdf(body), qos.LATCHED)
         self.urdf_publisher.publish(String(data=self.human.urdf))
-        self.get_logger().info(
-            f"motion {self.motion.name} of {library.name}: {len(self.motion)} postures, {self.motion.duration_s:.2f} s"
-        )
         self.wait_for_graph(
-            stepped=stepped,
+            stepped=settings.mode == "stepped",
             clock=self.simulated_time,
             peers=settings.wait_for,
             patience_s=(settings.ready_timeout_s, settings.decision_timeout_s),
@@ -161,7 +166,7 @@ class SkeletonTrackerReplay(SteppedSource):
             self.marker_publisher.publish(markers)
 
     def finish(self, reason: str) -> None:
-        """End the process once everything sent has arrived."""
+        """End the work once everything sent has arrived."""
         self.posture_publisher.wait_for_all_acked(Duration(seconds=1))
         super().finish(reason)
 

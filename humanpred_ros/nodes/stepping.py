@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -31,10 +30,8 @@ class SteppedSource(GraphNode):
         finished: nothing more is to be sent.
     """
 
-    finished = False
-
     def wait_for_graph(self, *, stepped: bool, clock: bool, peers: str, patience_s: tuple[float, float]) -> None:
-        """Begin as soon as the peers are ready; the last thing a subclass does when it is made.
+        """Begin as soon as the peers are ready; the last thing a subclass does when it is activated.
 
         Args:
             stepped: wait for each decision.
@@ -43,7 +40,8 @@ class SteppedSource(GraphNode):
             patience_s: the longest waits for readiness and for one decision.
         """
         self.stepped = stepped
-        self.begun, self.begun_s = False, 0.0
+        self.begun = self.finished = False
+        self.begun_s = 0.0
         self._ready_timeout_s, self._decision_timeout_s = patience_s
         self._wanted = [peer.strip() for peer in peers.split(",") if peer.strip()]
         self._ready: set[str] = set()
@@ -85,10 +83,10 @@ class SteppedSource(GraphNode):
             self._clock_publisher.publish(ClockMessage(clock=conversions.time_message(t_ns)))
 
     def finish(self, reason: str) -> None:
-        """End the process."""
+        """End the work: nothing more is to be sent."""
         self.finished = True
         self.get_logger().info(f"replay ends: {reason}")
-        rclpy.try_shutdown()
+        self.end()
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         # Whatever a peer does now: one that holds, or whose inputs are silent, waits for this node to begin.

@@ -64,6 +64,8 @@ class StompPlannerNode(GraphNode):
 
     def __init__(self) -> None:
         super().__init__("stomp_planner")
+
+    def configure(self) -> None:
         self.others = OtherCommanders(self)  # what takes long below is time for others to be heard of
         self.settings = settings = declare(self, StompPlannerSettings)
         self.scene = load_scene(settings.scene)
@@ -71,6 +73,9 @@ class StompPlannerNode(GraphNode):
             config = settings.replanner_config(plugin_parameters(self, settings.cost_terms))
             self.replanner = Replanner.for_scene(self.scene, config)
             self.replanner.warm_up()
+
+    def activate(self) -> None:
+        settings = self.settings
         following = settings.part(FollowingSettings)
         self.arm = MeasuredArm(self.replanner.joint_names, following, self.replanner.arm.difference)
         self.begun = self.holding = self.told_hold = False
@@ -85,7 +90,6 @@ class StompPlannerNode(GraphNode):
         self.commander = commander(self, settings.command_by, settings.controller, self.on_failed)
         self.decision_publisher = self.create_publisher(DiagnosticArray, topics.DECISION, qos.SENSOR_PUBLISHER)
         self.pictures = PlanPictures(self, self.replanner.tool_path)
-        self.add_on_set_parameters_callback(self.on_parameters)
         self.hardware_id = self.resolve_topic_name(topics.TRAJECTORY).rpartition("/")[0]
         arm_age_s, human_age_s = settings.max_arm_age_s, settings.max_human_age_s
         if settings.lossless:
@@ -105,7 +109,7 @@ class StompPlannerNode(GraphNode):
             thread.start()
 
     def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Take the noise of the rollouts at run time; everything else is read-only."""
+        """Take the noise of the rollouts at run time."""
         for parameter in parameters:
             if parameter.name == "noise_std":
                 self.replanner.set_noise(parameter.value)
@@ -131,7 +135,7 @@ class StompPlannerNode(GraphNode):
         error_rad = f"{self.arm.following.error_rad:.4f}"
         return {"following_error_rad": error_rad, **{f"answers/{name}": text for name, text in answers.items()}}
 
-    def close(self) -> None:
+    def deactivate(self) -> None:
         """Stop the arm, which nobody is going to command any more."""
         if self.begun and not self.settings.lossless and self.context.ok():
             with self.replanner.lock:

@@ -15,9 +15,10 @@ from humanpred_ros.human.model import HumanModel
 HEAVY = {"numba", "llvmlite", "scipy", "sklearn", "pinocchio", "matplotlib", "yourdfpy", "trimesh"}
 _CODE = """
 import sys, rclpy
+from humanpred_ros.nodes.lifecycle import started
 from humanpred_ros.nodes.{module} import {node} as Node
 rclpy.init(args=["node", "--ros-args", *{parameters}])
-node = Node()
+node = started(Node)
 {act}
 node.close()
 print("modules", *sys.modules)

@@ -34,6 +34,7 @@ from sensor_msgs.msg import JointState
 from humanpred_ros import topics
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.frames import pose_matrix, tf_lookup
+from humanpred_ros.nodes.lifecycle import started
 from humanpred_ros.nodes.occupancy_predictor import OccupancyPredictorNode
 from humanpred_ros.nodes.run_recorder import RunRecorder
 from humanpred_ros.nodes.skeleton_tracker_replay import SkeletonTrackerReplay
@@ -56,7 +57,7 @@ def ros(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[type[Any], dict[s
         for name, value in parameters.items():
             arguments += ["-p", f"{name}:={value}"]
         rclpy.init(args=arguments, domain_id=free_domain_id())
-        nodes.append(kind())
+        nodes.append(started(kind))
         return nodes[-1]
 
     try:
