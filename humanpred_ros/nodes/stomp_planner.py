@@ -137,15 +137,19 @@ class StompPlannerNode(GraphNode):
 
     def deactivate(self) -> None:
         """Stop the arm, which nobody is going to command any more."""
-        if self.begun and not self.settings.lossless and self.context.ok():
-            with self.replanner.lock:
-                if not self.replanner.at_rest(self.now_s()):
-                    self.publish(self._hold("the planner is ended"), self.last_ns, time.perf_counter())
-            self.commander.wait_until_heard(_LAST_WORD_S)
+        stops = self.begun and not self.settings.lossless and self.context.ok()
         self._closing.set()
+        if stops:
+            with self.replanner.lock:
+                moves = not self.replanner.at_rest(self.now_s())
+                stop = self._hold("the planner is ended")  # nor is what is being planned sent any more
+                if moves:
+                    self.publish(stop, self.last_ns, time.perf_counter())
         self._asked.set()
         for thread in self._threads:
             thread.join()
+        if stops:
+            self.commander.wait_until_heard(_LAST_WORD_S)
 
     def _guarded(self, work: Callable[[], None]) -> None:
         """Do the work of a thread; if that fails, the arm is stopped and the process ends."""

@@ -1,0 +1,171 @@
+"""A lifecycle manager brings the graph up, down and up again, and is told why where that cannot be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from humanpred_ros.bags.reader import BagReader
+from humanpred_ros.robot.scene import load_scene
+
+pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from node_client import NodeClient
+from planner_client import PlannerClient, nobody
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+
+from humanpred_ros import topics
+from humanpred_ros.nodes import conversions, qos
+
+SCENE = load_scene("face_to_face")
+CONFIGURE, CLEAN_UP = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_CLEANUP
+ACTIVATE, DEACTIVATE = Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_DEACTIVATE
+SHUT_DOWN = Transition.TRANSITION_INACTIVE_SHUTDOWN
+#: In the order in which a manager brings them up.
+GRAPH: dict[str, dict[str, Any]] = {
+    "simulated_arm": {"scene": "nowhere"},
+    "stomp_planner": {"scene": "face_to_face", "iterations": 5, "waypoints": 40, "velocity_scale": 0.1},
+    "occupancy_predictor": {"predictor": "current"},
+    "run_recorder": {},
+    "skeleton_tracker_replay": {"trajectory": "3/2", "hold_last_s": 600.0, "wait_for": "occupancy_predictor"},
+}
+
+
+def change_state(client: NodeClient, name: str, transition: int) -> bool:
+    """Ask for a transition as nav2's manager does, by its number; return whether it was made."""
+    service = client.node.create_client(ChangeState, f"{name}/change_state")
+    client.wait(service.service_is_ready, f"{name} to be managed", timeout_s=120.0)
+    future = service.call_async(ChangeState.Request(transition=Transition(id=transition)))
+    client.wait(future.done, f"{name} to make transition {transition}", timeout_s=300.0)
+    client.node.destroy_client(service)
+    return bool(future.result().success)
+
+
+class Manager(NodeClient):
+    """Stands in for nav2's lifecycle manager with bond_timeout 0: speaks its two services, and watches the arm.
+
+    Attributes:
+        told: level, message and values of each node's last status.
+        speed: of the arm's fastest joint, rad/s.
+    """
+
+    def connect(self, node: Node) -> tuple[Publisher, ...]:
+        self.told: dict[str, tuple[bytes, str, dict[str, str]]] = {}
+        self.speed = 0.0
+        node.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, self._on_status, qos.COMMAND)
+        node.create_subscription(JointState, topics.JOINT_STATES, self._on_arm, qos.COMMAND)
+        return ()
+
+    def _on_status(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self.told[status.name] = status.level, status.message, {item.key: item.value for item in status.values}
+
+    def _on_arm(self, message: JointState) -> None:
+        self.speed = max(map(abs, message.velocity), default=0.0)
+
+    def state(self, name: str) -> str:
+        service = self.node.create_client(GetState, f"{name}/get_state")
+        self.wait(service.service_is_ready, f"the state of {name}")
+        future = service.call_async(GetState.Request())
+        self.wait(future.done, f"the state of {name}")
+        self.node.destroy_client(service)
+        return str(future.result().current_state.label)
+
+    def all(self, transition: int, state: str) -> None:
+        """Take all nodes through a transition, down in the reverse order, and see that they say so."""
+        down = transition in (DEACTIVATE, CLEAN_UP)
+        for name in reversed(GRAPH) if down else GRAPH:
+            assert change_state(self, name, transition), (name, state, self.told.get(name))
+            assert self.state(name) == state
+        if state != "active":
+            self.wait(lambda: all(self.told[name][:2] == (DiagnosticStatus.WARN, state) for name in GRAPH), state)
+            assert {self.told[name][2]["ready"] for name in GRAPH} == {"false"}
+
+    def wait_for_motion(self) -> None:
+        self.wait(lambda: self.speed > 0.05 and self.told["stomp_planner"][1] == "planning", "motion", timeout_s=120.0)
+
+
+def test_a_manager_brings_the_graph_up_down_and_up(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    GRAPH["run_recorder"]["output"] = str(bag)
+    with Manager(tmp_path, "simulated_arm", {"managed": True, **GRAPH["simulated_arm"]}) as manager:
+        for name in list(GRAPH)[1:]:
+            manager.group.start(name, {"managed": True, **GRAPH[name]})
+        manager.wait(lambda: manager.told.keys() >= GRAPH.keys(), "all nodes", timeout_s=120.0)
+        assert {manager.told[name][1] for name in GRAPH} == {"unconfigured"}
+
+        # What cannot be configured stays unconfigured and says why, until somebody puts it right.
+        assert not change_state(manager, "simulated_arm", CONFIGURE)
+        assert manager.state("simulated_arm") == "unconfigured"
+        manager.wait(lambda: "nowhere" in manager.told["simulated_arm"][1], "the reason")
+        assert manager.told["simulated_arm"][0] == DiagnosticStatus.ERROR
+        assert manager.set_parameter("scene", "face_to_face") == (True, "")
+
+        manager.all(CONFIGURE, "inactive")
+        manager.all(ACTIVATE, "active")
+        manager.wait_for_motion()
+        for name in GRAPH:  # calls in the wrong state change nothing
+            assert not change_state(manager, name, CONFIGURE)
+            assert manager.state(name) == "active"
+        refused = "refused/transition in the wrong state"
+        manager.wait(lambda: all(manager.told[name][2].get(refused) == "1" for name in GRAPH), "refusals")
+        done, why = manager.set_parameter("period_s", 0.2, "stomp_planner")
+        assert not done
+        assert why.startswith("period_s: cannot change at run time: start the node anew with it, or clean")
+
+        # Down: with the planner the arm rests, although its driver still runs.
+        for name in ("skeleton_tracker_replay", "run_recorder", "occupancy_predictor"):
+            assert change_state(manager, name, DEACTIVATE)
+        manager.wait_for_motion()
+        assert change_state(manager, "stomp_planner", DEACTIVATE)
+        manager.wait(lambda: manager.speed < 1e-6, "the arm to rest")
+        assert change_state(manager, "simulated_arm", DEACTIVATE)
+
+        manager.all(ACTIVATE, "active")
+        manager.wait_for_motion()
+        manager.all(DEACTIVATE, "inactive")
+        manager.all(CLEAN_UP, "unconfigured")
+        manager.all(CONFIGURE, "inactive")
+        for name in GRAPH:
+            assert change_state(manager, name, SHUT_DOWN)
+            assert manager.state(name) == "finalized"
+    for folder in (bag, bag.with_name("bag_2")):
+        assert next(iter(BagReader(folder).messages([topics.DECISION]))), "a whole bag of each time"
+
+
+@pytest.fixture
+def planner(tmp_path: Path) -> Iterator[PlannerClient]:
+    parameters = {"scene": "face_to_face", "iterations": 5, "waypoints": 40, "period_s": 0.2, "velocity_scale": 0.05}
+    with PlannerClient(tmp_path, SCENE, parameters) as client:
+        client.settle_arm()
+        yield client
+
+
+def test_a_planner_that_is_activated_again_goes_on_from_where_the_arm_is(planner: PlannerClient) -> None:
+    def see_nobody() -> None:
+        planner.send_cloud(conversions.occupancy_cloud(nobody(SCENE), 0.0, planner.now_ns()))
+
+    def moves() -> bool:
+        return bool(np.abs(planner.controller.v).max() > 0.02)
+
+    planner.send_until(see_nobody, moves, "the arm to be on its way", timeout_s=120.0)
+    assert change_state(planner, "stomp_planner", DEACTIVATE)
+    planner.wait(lambda: planner.decisions[-1].reason.startswith("the planner is ended"), "the last hold")
+    planner.wait(lambda: not moves(), "the arm to rest")
+    n_sent, n_told = len(planner.trajectories), len(planner.decisions)
+    # Somebody moves it while nobody looks.
+    planner.controller.q = planner.controller.q + 0.1
+    planner.controller.hold()
+    assert change_state(planner, "stomp_planner", ACTIVATE)
+    planner.send_until(see_nobody, moves, "the arm to be on its way again", timeout_s=120.0)
+    start = np.array(planner.trajectories[n_sent].points[0].positions)
+    assert np.abs(start - planner.controller.q).max() < 0.05
+    assert planner.decisions[n_told].action == "hold", "the arm is looked at first"
