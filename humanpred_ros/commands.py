@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from humanpred_ros.bags.salvage import BagReport
 
 _FRAME_PERIOD_S = 1 / 60
+NAMESPACE = "of the robot, as /robot1; only needed where the bag holds several"
 #: Problems of a bag that are listed.
 _LISTED = 50
 
@@ -58,6 +59,7 @@ class ReportSettings(Settings):
 
     run: Path = setting(..., "folder of the run", positional=True)
     out: Path | None = setting(None, "HTML file; none: report.html in the run's folder")
+    namespace: str | None = setting(None, NAMESPACE)
 
 
 def report(settings: ReportSettings, console: Console) -> int:
@@ -66,7 +68,7 @@ def report(settings: ReportSettings, console: Console) -> int:
     from humanpred_ros.viewing.report import report_run
 
     out = settings.out or settings.run / "report.html"
-    print_summary(report_run(settings.run, out), console)
+    print_summary(report_run(settings.run, out, settings.namespace), console)
     console.print(f"report  {out}")
     return 0
 
@@ -76,6 +78,7 @@ class ReplaySettings(Settings):
 
     run: Path = setting(..., "folder of the run", positional=True)
     out: Path | None = setting(None, "bag to write; none: replayed_bag in the run's folder")
+    namespace: str | None = setting(None, NAMESPACE)
 
 
 def replay(settings: ReplaySettings, console: Console) -> int:
@@ -83,7 +86,7 @@ def replay(settings: ReplaySettings, console: Console) -> int:
     from humanpred_ros.evaluation.reproduce import replay_run
 
     with console.status("feeding the recorded occupancy to a fresh planner"):
-        comparison = replay_run(settings.run, settings.out or settings.run / "replayed_bag")
+        comparison = replay_run(settings.run, settings.out or settings.run / "replayed_bag", settings.namespace)
     for difference in comparison.differing[:10]:
         console.print(difference, highlight=False)
     console.print(

@@ -9,6 +9,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import IO, Any, NamedTuple
@@ -32,6 +33,7 @@ from humanpred_ros.bags.metadata import TopicInfo, qos_from, read_metadata
 from humanpred_ros.bags.writer import LAST_TIME_NS
 from humanpred_ros.errors import BagError
 from humanpred_ros.files import file_inside, open_plain
+from humanpred_ros.topics import names_in_bag
 
 _FOOTER = struct.Struct("<BQQQI")
 _DATA_END = struct.Struct("<BQI")
@@ -40,6 +42,9 @@ _TAIL_BYTES = _FOOTER.size + len(MAGIC)
 _BLOCK_BYTES = 1 << 20
 #: Messages that are kept at a time while they are put in order, and metadata records.
 _MOST_HELD, _MOST_RECORDS = 1_000_000, 1_000
+
+#: Metadata record in which the recorder keeps full by relative names.
+TOPICS_RECORD = "topics"
 
 SALVAGE_HINT = "recover what is intact with: humanpred bag salvage"
 
@@ -60,15 +65,19 @@ class BagReader:
     Opening checks that the files are complete and, where they carry checksums over all their data (ours
     do), that these are right; reading checks every chunk's. No file stays open between calls.
 
+    Topics are asked for by full name, or by relative name as nodes do (`topics`): `joint_states` is the robot's, in
+    whatever namespace it was recorded.
+
     Args:
         path: directory with metadata.yaml, or an .mcap file.
+        namespace: of the robot that relative names are about; only needed where a bag holds several.
 
     Raises:
         BagError: missing, not a bag, truncated or damaged; the message says what to do.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+    def __init__(self, path: str | Path, namespace: str | None = None) -> None:
+        self.path, self.namespace = Path(path), namespace
         self.files = bag_files(self.path)
         self._frames: dict[Path, FileFrame] = {}
         for file in self.files:
@@ -98,6 +107,18 @@ class BagReader:
         """The MCAP metadata records by name (of several with one name, the last)."""
         return MappingProxyType(self._metadata)
 
+    @cached_property
+    def names(self) -> Mapping[str, str]:
+        """Full names of topics by their relative names; BagError where it is not clear of which robot."""
+        try:
+            return names_in_bag(self.topics, self._metadata.get(TOPICS_RECORD, {}), self.namespace)
+        except BagError as error:
+            raise BagError(f"{self.path}: {error}") from None
+
+    def find(self, name: str) -> str | None:
+        """Return the full name of a topic; None if the bag lacks it."""
+        return name if name in self.topics else None if name.startswith("/") else self.names.get(name)
+
     def messages(self, topics: Iterable[str] | None = None) -> Iterator[BagMessage]:
         """Yield messages by log time; those of one time in the order they were written.
 
@@ -108,17 +129,16 @@ class BagReader:
             BagError: a topic the bag lacks (at once), or damage found on the way.
         """
         wanted = None if topics is None else [topics] if isinstance(topics, str) else list(topics)
-        for name in wanted or ():
-            self.require_topic(name)
-        return self._messages(wanted)
+        return self._messages(None if wanted is None else [self.require_topic(name).name for name in wanted])
 
     def require_topic(self, name: str, msgtype: str | None = None) -> TopicInfo:
         """Return the topic's entry; raise BagError if the bag lacks it or it has another type."""
-        if name not in self.topics:
+        found = self.find(name)
+        if found is None:
             raise BagError(f"{self.path}: wanted topic {name}, the bag has {', '.join(sorted(self.topics)) or 'none'}")
-        topic = self.topics[name]
+        topic = self.topics[found]
         if msgtype is not None and topic.msgtype != msgtype:
-            raise BagError(f"{self.path}: topic {name}: wanted type {msgtype}, got {topic.msgtype}")
+            raise BagError(f"{self.path}: topic {found}: wanted type {msgtype}, got {topic.msgtype}")
         return topic
 
     def decode(self, message: BagMessage) -> Any:

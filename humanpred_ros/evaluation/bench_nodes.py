@@ -191,7 +191,7 @@ def posture_answers(reader: BagReader) -> tuple[PostureAnswer, ...]:
     Raises:
         BagError: no postures, or a damaged bag.
     """
-    postures = list(stamped(reader, topics.body_topic(reader.topics, topics.human_joint_states)))
+    postures = list(stamped(reader, topics.body_topic(reader.names, topics.human_joint_states)))
     if not postures:
         raise BagError(f"{reader.path}: wanted a run with postures, got none; did the tracker start?")
     heard_ns = {entry.stamp_ns: entry.heard_ns for entry in stamped(reader, topics.OCCUPANCY)}

@@ -110,7 +110,7 @@ class Fault:
 
 def wired(topic: str) -> str:
     """Return the name under which a relayed topic goes to or comes from the node on the wire's other side."""
-    return topic.replace("body_0", TRACKED_BODY) if topic == POSTURES else f"/wire{topic}"
+    return topic.replace("body_0", TRACKED_BODY) if topic == POSTURES else f"wire/{topic.lstrip('/')}"
 
 
 def _nothing(_: Graph) -> None:

@@ -144,20 +144,20 @@ def _write_run(folder: Path, motion: Motion, human: HumanModel) -> None:
     with BagWriter(folder / "bag") as bag:
         bag.add_metadata("run", facts)
         bag.write_message(f"{body}/urdf", 10**9, ros.string(human.urdf))
-        bag.write_message(topics.VOXEL_GRID, 10**9, ros.string(json.dumps(lattice)))
+        bag.write_message(f"/{topics.VOXEL_GRID}", 10**9, ros.string(json.dumps(lattice)))
         for k, (t_s, q) in enumerate(zip(motion.t_s.tolist(), motion.q, strict=True)):
             stamp = 2 * 10**9 + round(t_s * 1e9)
             bag.write_message(
                 f"{body}/joint_states", stamp, ros.joint_state(stamp, motion.dof_names, q, frame_id="lab")
             )
             q_arm = scene.start + 0.01 * k
-            bag.write_message(topics.JOINT_STATES, stamp, ros.joint_state(stamp, RIGHT_ARM_JOINTS, q_arm))
+            bag.write_message(f"/{topics.JOINT_STATES}", stamp, ros.joint_state(stamp, RIGHT_ARM_JOINTS, q_arm))
             voxels = grid.centres_m(np.arange(4 * k, 4 * k + 8))
             cloud = {**dict(zip("xyz", voxels.T, strict=True)), "probability": np.full(8, 0.5, np.float32)}
-            bag.write_message(topics.OCCUPANCY, stamp, ros.point_cloud2(stamp, "world", cloud))
+            bag.write_message(f"/{topics.OCCUPANCY}", stamp, ros.point_cloud2(stamp, "world", cloud))
             goals = {axis: np.array([0.5, 0.6]) for axis in "xyz"}
             goals |= {"class_id": np.array([0.0, 1.0]), "probability": np.array([0.4, 0.6])}
-            bag.write_message(topics.HUMAN_GOALS, stamp, ros.point_cloud2(stamp, "world", goals))
+            bag.write_message(f"/{topics.HUMAN_GOALS}", stamp, ros.point_cloud2(stamp, "world", goals))
             told = {"step": str(k + 1), "chosen": goal, "reason": "because", "compute_ms": "5.0", "t_switch_s": "0.1"}
             plan = {"selection_cost": "0.5", "iterations": "10", "cost/human_occupancy": "0.1", "valid": "true"}
             statuses = [
@@ -166,7 +166,7 @@ def _write_run(folder: Path, motion: Motion, human: HumanModel) -> None:
                 for name, said, values in (("planner", "replan", told), (goal, "chosen", plan))
             ]  # fmt: skip
             array = ros.message_class(ros.DIAGNOSTIC_ARRAY)(header=header(stamp, ""), status=statuses)
-            bag.write_message(topics.DECISION, stamp, array)
+            bag.write_message(f"/{topics.DECISION}", stamp, array)
 
 
 # What is done with a file of each kind; each returns or raises HumanPredError.

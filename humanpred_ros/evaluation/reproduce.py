@@ -30,13 +30,13 @@ class Comparison:
     differing: tuple[str, ...]  #: what differs, in words, in time order; empty if the second run reproduces the first
 
 
-def replay_run(folder: Path, out: Path) -> Comparison:
+def replay_run(folder: Path, out: Path, namespace: str | None = None) -> Comparison:
     """Feed the occupancy of the run in `folder` to a fresh planner, record to the bag `out`, and compare.
 
     Raises:
         HumanPredError: no complete run in `folder`, `out` exists, or a node failed.
     """
-    recorded = BagReader(folder / "bag")
+    recorded = BagReader(folder / "bag", namespace)
     info = recorded.metadata.get("run")
     if info is None:
         raise BagError(f"{folder / 'bag'}: wanted a bag made by `humanpred demo`, this one has no record named run")
@@ -55,7 +55,14 @@ def replay_run(folder: Path, out: Path) -> Comparison:
             "stomp_planner",
             {**planner, "use_sim_time": True, "lossless": True, "listener": "occupancy_replay"},
         )
-        source = group.start("occupancy_replay", {"bag": str(folder / "bag"), "wait_for": "run_recorder,stomp_planner"})
+        source = group.start(
+            "occupancy_replay",
+            {
+                "bag": str(folder / "bag"),
+                "bag_namespace": namespace or "",
+                "wait_for": "run_recorder,stomp_planner",
+            },
+        )
         group.wait_for(source)
     return compare_bags(recorded, BagReader(out))
 

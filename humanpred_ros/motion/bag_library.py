@@ -33,8 +33,8 @@ _SECOND_NS = 1_000_000_000
 
 
 def body_topics(body: str = "body_0") -> tuple[str, str, str]:
-    """Return the topics of one tracked body: joint states, motion and points; named after REP-155."""
-    return human_joint_states(body), f"/humans/bodies/{body}/motion", f"/humans/bodies/{body}/points"
+    """Return the topics of one tracked body: joint states, motion and points; relative names, after REP-155."""
+    return human_joint_states(body), f"humans/bodies/{body}/motion", f"humans/bodies/{body}/points"
 
 
 def write_library_bag(library: MotionLibrary, directory: str | Path, *, overwrite: bool = False) -> Path:
@@ -43,7 +43,7 @@ def write_library_bag(library: MotionLibrary, directory: str | Path, *, overwrit
     Raises:
         BagError: it exists and `overwrite` is not given, or cannot be written.
     """
-    states_topic, motion_topic, points_topic = body_topics()
+    states_topic, motion_topic, points_topic = (f"/{topic}" for topic in body_topics())
     with BagWriter(directory, staged=True, overwrite=overwrite) as bag:
         bag.add_metadata("provenance", library.provenance)
         bag.add_metadata("library", {"name": library.name, "motions": str(len(library))})
@@ -140,17 +140,17 @@ def read_library_bag(
         MotionError: postures that are not finite, or stamps that do not increase.
     """
     bag = BagReader(path)
-    states_topic, motion_topic, points_topic = body_topics(body)
-    if states_topic not in bag.topics:
+    states_topic, motion_topic, points_topic = (bag.find(topic) for topic in body_topics(body))
+    if states_topic is None:
         raise BagError(
-            f"{bag.path}: wanted human joint states on {states_topic}, "
+            f"{bag.path}: wanted human joint states on {human_joint_states(body)}, "
             f"the bag has {', '.join(sorted(bag.topics)) or 'no topics'}; name another body or bag"
         )
     bag.require_topic(states_topic, ros.JOINT_STATE)
-    announced = motion_topic in bag.topics and bag.require_topic(motion_topic, ros.STRING).count > 0
+    announced = motion_topic is not None and bag.require_topic(motion_topic, ros.STRING).count > 0
     further = (motion_topic, points_topic) if points else (motion_topic,)
     drafts: list[_Draft] = []
-    for message in bag.messages([states_topic] + [topic for topic in further if topic in bag.topics]):
+    for message in bag.messages([states_topic] + [topic for topic in further if topic]):
         content = bag.decode(message)
         if message.topic == motion_topic:
             drafts.append(_Draft.announced(bag.path, content.data))

@@ -15,13 +15,15 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import NameValidationException
+from rclpy.exceptions import InvalidNamespaceException, InvalidTopicNameException, NameValidationException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.expand_topic_name import expand_topic_name
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
+from rclpy.validate_namespace import validate_namespace
 
 from humanpred_ros import topics
 from humanpred_ros.errors import HumanPredError, UsageError, one_line
@@ -47,7 +49,7 @@ class GraphNode(ManagedNode):
     without have been matched, so that nothing sent from then on is lost (`waiting_for`).
 
     Attributes:
-        inputs: what was subscribed to with `listen`, by topic.
+        inputs: what was subscribed to with `listen`, by the topic's full name.
         refused: how often what was refused, by kind.
         warnings: that stand, by what they are about.
         hardware_id: what the status is about, for those who group by it; the node itself unless set.
@@ -81,14 +83,15 @@ class GraphNode(ManagedNode):
 
         Args:
             kind: type of the messages.
-            topic: name.
+            topic: name, full or relative to the node's namespace.
             callback: takes a message, or where `raw` its bytes and times; returns False for one that is not meant for
                 this node, which does not count.
             profile: quality of service.
             max_age_s: once messages have come, the node cannot do its work after a longer silence.
             raw: the messages are wanted as they travel.
         """
-        heard = self.inputs[topic] = Input(topic, max_age_s)
+        name = self.resolve_topic_name(topic)
+        heard = self.inputs[name] = Input(name, max_age_s)
 
         def on_message(message: Any, info: Any) -> None:
             came_s = time.monotonic()
@@ -124,15 +127,31 @@ class GraphNode(ManagedNode):
     def unmatched(self, publisher: Publisher, listener: str) -> str:
         """Return what a publisher still lacks before nothing it sends is lost; empty when it lacks nothing.
 
-        It must be matched with every subscription the graph knows of, at least one, and `listener`, if a name
-        is given, must be among their nodes: a recorder alone does not make a graph.
+        It must be matched with every subscription the graph knows of, at least one, and the nodes that `listener`
+        names, if any, must be among them: a recorder alone does not make a graph.
         """
         known = self.get_subscriptions_info_by_topic(publisher.topic_name)
-        if listener and listener not in {subscription.node_name for subscription in known}:
-            return f"{listener} to subscribe to {publisher.topic_name}"
+        there = {name_of(info.node_namespace, info.node_name) for info in known}
+        missing = [name for name in self.peers(listener) if name not in there]
+        if missing:
+            return f"{', '.join(missing)} to subscribe to {publisher.topic_name}"
         if publisher.get_subscription_count() < max(1, len(known)):
             return f"a match with the subscribers of {publisher.topic_name}"
         return ""
+
+    def peers(self, text: str) -> list[str]:
+        """Return the nodes that a text with commas names, as they are called on /diagnostics (`name_of`).
+
+        Names are full, or relative to the namespace of this node: a node of that name elsewhere is another one.
+
+        Raises:
+            UsageError: what no node can be called.
+        """
+        try:
+            words = [word.strip() for word in text.split(",") if word.strip()]
+            return [expand_topic_name(word, self.get_name(), self.get_namespace()).lstrip("/") for word in words]
+        except InvalidTopicNameException as trouble:
+            raise UsageError(f"nodes to wait for: wanted names with commas, as stomp_planner, got {text}") from trouble
 
     def refuse(self, reason: str) -> None:
         """Count a refused input under a named reason; logged when a kind comes that did not come lately."""
@@ -170,7 +189,7 @@ class GraphNode(ManagedNode):
             **{f"warning/{about}": text for about, text in self.warnings.items()},
         }
         status = DiagnosticStatus(
-            name=self.get_name(),
+            name=name_of(self.get_namespace(), self.get_name()),
             level=level,
             message=message,
             hardware_id=self.hardware_id,
@@ -200,6 +219,11 @@ class GraphNode(ManagedNode):
         super().disconnect()
         self.inputs.clear()
         self.warnings = {}
+
+
+def name_of(namespace: str, name: str) -> str:
+    """Return how a node is called on /diagnostics: by its name, in a namespace as `robot1/stomp_planner`."""
+    return f"{namespace}/{name}".lstrip("/")
 
 
 class _Signals:
@@ -281,6 +305,10 @@ def entry_point(make_node: Callable[[], GraphNode]) -> Callable[[], None]:
 
 def _initialise(arguments: list[str]) -> None:
     """Start rclpy, with one-line errors for arguments it cannot read, or that nobody would read."""
+    for word in arguments:
+        name, _, value = word.partition(":=")
+        if name.rpartition(":")[2] == "__ns":
+            _check_namespace(value)
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as trouble:  # the common base of rclpy's several errors about arguments
@@ -290,3 +318,14 @@ def _initialise(arguments: list[str]) -> None:
     unread = remove_ros_args(arguments)[1:]
     if unread:
         raise UsageError(f"arguments: got {' '.join(unread)}; parameters are given as --ros-args -p NAME:=VALUE")
+
+
+def _check_namespace(namespace: str) -> None:
+    try:
+        validate_namespace(namespace)
+    except InvalidNamespaceException as trouble:
+        reason = str(trouble).splitlines()[0].removeprefix("Invalid namespace: ").rstrip(":")
+        raise UsageError(
+            f"namespace: wanted /NAME, or /NAME/NAME and so on, as /robot1, got {namespace} ({reason}); "
+            "write -r __ns:=/robot1"
+        ) from trouble

@@ -146,7 +146,7 @@ class OccupancyPredictorNode(GraphNode):
         self.grid_publisher = self.create_publisher(String, topics.VOXEL_GRID, qos.LATCHED)
         self.grid_publisher.publish(String(data=conversions.grid_description(scene.grid)))
         postures = topics.human_joint_states(settings.body_id)
-        self.hardware_id = postures.rpartition("/")[0]
+        self.hardware_id = self.resolve_topic_name(postures).rpartition("/")[0]
         self.listen(Bool, topics.human_held(settings.body_id), self.on_held, qos.LATCHED)
         # One that plans may be slower than its sensor: old postures that queue up would make it ever later.
         profile = qos.sensor_subscription(settings.lossless, newest_only=settings.predictor == "reaching")

@@ -22,6 +22,7 @@ class OccupancyReplaySettings(NodeSettings):
     """Parameters of `occupancy_replay`."""
 
     bag: str = setting("", "bag of a recorded run")
+    bag_namespace: str = setting("", "of the robot, as /robot1; only needed where the bag holds several")
     wait_for: str = setting("", "comma-separated nodes whose /diagnostics must say ready before the replay starts")
 
 
@@ -36,7 +37,7 @@ class OccupancyReplay(SteppedSource):
 
     def configure(self) -> None:
         self.settings = settings = declare(self, OccupancyReplaySettings)
-        bag = BagReader(settings.bag)
+        bag = BagReader(settings.bag, settings.bag_namespace or None)
         for topic, msgtype in ((topics.OCCUPANCY, POINT_CLOUD2), (topics.JOINT_STATES, JOINT_STATE)):
             bag.require_topic(topic, msgtype)
         decided = {conversions.stamp_ns(decision.header.stamp) for _, decision in bag.decoded(topics.DECISION)}

@@ -17,6 +17,7 @@ from visualization_msgs.msg import MarkerArray
 
 from humanpred_ros import topics
 from humanpred_ros.bags.metadata import DEFAULT_QOS, LATCHED_QOS
+from humanpred_ros.bags.reader import TOPICS_RECORD
 from humanpred_ros.bags.writer import BagWriter
 from humanpred_ros.errors import BagError, UsageError
 from humanpred_ros.nodes import qos
@@ -87,10 +88,15 @@ class RunRecorder(GraphNode):
                 (topics.CANDIDATES, MarkerArray, qos.LOSSLESS),
                 (topics.ROLLOUTS, MarkerArray, qos.LOSSLESS),
             ]
-        self.wanted = [topic for topic in settings.wait_for.replace("<id>", body).split(",") if topic]
-        unknown = [topic for topic in self.wanted if topic not in {name for name, _, _ in self.recorded}]
+        full = {topic: self.resolve_topic_name(topic) for topic, _, _ in self.recorded}
+        words = [word.strip() for word in settings.wait_for.replace("<id>", body).split(",") if word.strip()]
+        self.wanted = [full.get(word, word) for word in words]
+        unknown = [word for word, topic in zip(words, self.wanted, strict=True) if topic not in full.values()]
         if unknown:
-            raise UsageError(f"parameter wait_for: wanted recorded topics, got {', '.join(unknown)}")
+            raise UsageError(
+                f"parameter wait_for: wanted recorded topics ({', '.join(full.values())}), got {', '.join(unknown)}"
+            )
+        self.full_names = full
 
     def activate(self) -> None:
         # One that is activated again begins another bag, beside the first one.
@@ -98,8 +104,9 @@ class RunRecorder(GraphNode):
         self.hardware_id = str(Path(output).resolve())
         self.writer = BagWriter(output)
         self.writer.add_metadata("run", self.run_info)
+        self.writer.add_metadata(TOPICS_RECORD, self.full_names)
         for topic, kind, profile in self.recorded:
-            self._record(topic, kind, profile)
+            self._record(self.full_names[topic], kind, profile)
         flush = partial(self._unless_refused, self.writer.flush)
         self.create_timer(_FLUSH_PERIOD_S, flush, clock=self._status_timer.clock)
 

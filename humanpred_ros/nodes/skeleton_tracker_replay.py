@@ -88,7 +88,7 @@ class SkeletonTrackerReplay(SteppedSource):
         self.last_clock_ns = self.last_marker_ns = -_MARKER_PERIOD_NS
 
         body = settings.body_id
-        self.hardware_id = topics.human_joint_states(body).rpartition("/")[0]
+        self.hardware_id = self.resolve_topic_name(topics.human_joint_states(body)).rpartition("/")[0]
         self.posture_publisher = self.create_publisher(
             JointState, topics.human_joint_states(body), qos.SENSOR_PUBLISHER
         )

@@ -43,7 +43,7 @@ class SteppedSource(GraphNode):
         self.begun = self.finished = False
         self.begun_s = 0.0
         self._ready_timeout_s, self._decision_timeout_s = patience_s
-        self._wanted = [peer.strip() for peer in peers.split(",") if peer.strip()]
+        self._wanted = self.peers(peers)
         self._ready: set[str] = set()
         self._awaited_ns: int | None = None
         self._waiting_since_s = time.monotonic()

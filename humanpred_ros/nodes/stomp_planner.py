@@ -117,7 +117,7 @@ class StompPlannerNode(GraphNode):
 
     def waiting_for(self) -> str:
         if self.arm.q is None:
-            return f"the arm's joints on {topics.JOINT_STATES}"
+            return f"the arm's joints on {self.resolve_topic_name(topics.JOINT_STATES)}"
         listening = self.unmatched(self.decision_publisher, self.settings.listener) if self.settings.listener else ""
         looking = "other planners to be heard of, if there are any" if self._looks_around() else ""
         return self.commander.waiting_for() or listening or looking
@@ -263,7 +263,9 @@ class StompPlannerNode(GraphNode):
     def _begin(self, stamp_ns: int, received_s: float, anew: bool) -> bool:
         """Let the time of `stamp_ns` be zero, and the arm begin where it was measured; return whether it can."""
         if self.arm.q is None:
-            self._wait_with_hold(f"no arm: its joints have not come on {topics.JOINT_STATES}", stamp_ns)
+            self._wait_with_hold(
+                f"no arm: its joints have not come on {self.resolve_topic_name(topics.JOINT_STATES)}", stamp_ns
+            )
             return False
         others = self.others.names()
         if others:

@@ -43,18 +43,19 @@ _OPTIONS = (
 )  # fmt: skip
 
 
-def report_run(folder: str | Path, path: str | Path | None = None) -> RunSummary:
+def report_run(folder: str | Path, path: str | Path | None = None, namespace: str | None = None) -> RunSummary:
     """Write the report of the run in a folder, and `summary.json` beside it; return the summary.
 
     Args:
         folder: of the run.
         path: HTML file to write; `report.html` in the run's folder if None.
+        namespace: of the robot; only needed where the bag holds several.
 
     Raises:
         BagError: there is no complete run.
         UsageError: the files cannot be written there.
     """
-    analysis = analyse(read_run(folder))
+    analysis = analyse(read_run(folder, namespace))
     path = Path(folder) / "report.html" if path is None else Path(path)
     write_report(analysis, path)
     with replacing(path.with_name("summary.json")) as part:

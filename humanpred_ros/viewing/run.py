@@ -87,21 +87,21 @@ class Run:
         return float(np.clip(100.0 * t_s / self.motion_duration_s, 0.0, 100.0)) if self.motion_duration_s > 0 else None
 
 
-def read_run(folder: str | Path) -> Run:
-    """Read the run recorded in `folder`.
+def read_run(folder: str | Path, namespace: str | None = None) -> Run:
+    """Read the run recorded in `folder`; of several robots the one in `namespace`.
 
     Topics that are missing or empty give empty series, so an interrupted run can be read, too.
 
     Raises:
-        BagError: no such folder, no bag in it, or a bag that is truncated or damaged.
+        BagError: no such folder, no bag in it, a bag that is truncated or damaged, or several robots and no namespace.
     """
     folder = Path(folder)
     if not (folder / "bag").is_dir():
         raise BagError(f"{folder}: wanted a run (a folder with a bag/ in it), found none; record one: humanpred demo")
-    bag = BagReader(folder / "bag")
+    bag = BagReader(folder / "bag", namespace)
     notes: list[str] = []
     facts = MappingProxyType(dict(bag.metadata.get("run", {})))
-    human = list(_stamped(bag, topics.body_topic(bag.topics, topics.human_joint_states), messages.JOINT_STATE, notes))
+    human = list(_stamped(bag, topics.body_topic(bag.names, topics.human_joint_states), messages.JOINT_STATE, notes))
     postures = _postures(human, notes)
     motion_duration_s = _motion_duration_s(facts, postures)
     decided = list(_stamped(bag, topics.DECISION, messages.DIAGNOSTIC_ARRAY))
@@ -135,7 +135,7 @@ def read_run(folder: str | Path) -> Run:
             _delays(POSTURE_TO_TRAJECTORY, human, trajectories_by_stamp(sent, decided), origin_ns),
         ),
         topics=tuple(sorted(bag.topics.values(), key=lambda topic: topic.name)),
-        human_urdf=_text(bag, topics.body_topic(bag.topics, topics.human_urdf)),
+        human_urdf=_text(bag, topics.body_topic(bag.names, topics.human_urdf)),
         notes=tuple(notes),
     )
 
@@ -151,7 +151,7 @@ class Entry(NamedTuple):
 
 def stamped(bag: BagReader, topic: str | None, msgtype: str | None = None) -> Iterator[Entry]:
     """Yield a topic's messages in the order they were logged; none if the bag lacks it, BagError for another type."""
-    if topic is None or topic not in bag.topics:
+    if topic is None or bag.find(topic) is None:
         return
     bag.require_topic(topic, msgtype)
     for k, record in enumerate(bag.messages([topic])):
@@ -177,7 +177,7 @@ def _stamped(bag: BagReader, topic: str | None, msgtype: str, notes: list[str] |
 
 def _text(bag: BagReader, topic: str | None) -> str:
     """Return the first text of a String topic, empty if there is none."""
-    texts = bag.decoded(topic) if topic and topic in bag.topics else iter(())
+    texts = bag.decoded(topic) if topic and bag.find(topic) else iter(())
     return next((str(message.data) for _, message in texts), "")
 
 

@@ -19,7 +19,7 @@ from humanpred_ros.motion.bag_library import body_topics, motion_text, read_libr
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import SKELETON_POINTS, Motion, MotionLibrary
 
-JOINTS, MOTION, POINTS = body_topics()
+JOINTS, MOTION, POINTS = (f"/{name}" for name in body_topics())
 
 
 def bits(library: MotionLibrary) -> list[object]:
@@ -147,7 +147,7 @@ def test_frames_without_points_have_lost_points(tmp_path: Path) -> None:
 def test_a_bag_without_the_human_is_a_bag_error(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "robot") as bag:
         bag.write_message("/joint_states", 1, ros.joint_state(1, ("r",), (0.0,)))
-    with pytest.raises(BagError, match=r"human joint states on /humans/bodies/body_0.*has /joint_states"):
+    with pytest.raises(BagError, match=r"human joint states on humans/bodies/body_0.*has /joint_states"):
         read_library_bag(tmp_path / "robot")
     with pytest.raises(BagError, match="body_7"):
         read_library_bag(tmp_path / "robot", body="body_7")

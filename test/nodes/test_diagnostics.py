@@ -20,7 +20,7 @@ from humanpred_ros import topics
 from humanpred_ros.nodes import conversions, qos
 
 MOTION = load_library(REPOSITORY / "bags" / "synthetic_reaches").motions[0]
-POSTURES = topics.human_joint_states("body_0")
+POSTURES = f"/{topics.human_joint_states('body_0')}"
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 
 

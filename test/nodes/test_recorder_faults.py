@@ -85,7 +85,7 @@ def test_a_recorder_whose_disk_refuses_says_so_and_stays(
         assert "Traceback" not in log
     if spoil is fill_disk:
         assert check_bag(bag).ok
-        assert BagReader(bag).topics[topics.JOINT_STATES].count > 0
+        assert BagReader(bag).require_topic(topics.JOINT_STATES).count > 0
 
 
 def test_without_stay_it_ends(tmp_path: Path) -> None:

@@ -379,7 +379,7 @@ def test_the_recorder_asks_for_markers_only_when_told_to(
     recorder.close()
     pictures = {topics.CANDIDATES, topics.ROLLOUTS, topics.OCCUPANCY_MARKERS}
     assert pictures & recorder.inputs.keys() == (pictures if markers else set())
-    assert pictures & BagReader(tmp_path / "bag").topics.keys() == (pictures if markers else set())
+    assert pictures & BagReader(tmp_path / "bag").names.keys() == (pictures if markers else set())
 
 
 class RunListener(NodeClient):
