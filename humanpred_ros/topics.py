@@ -20,6 +20,9 @@ TRAJECTORY = "r_arm_controller/joint_trajectory"
 DECISION = "stomp_planner/decision"
 CANDIDATES = "stomp_planner/candidates"
 ROLLOUTS = "stomp_planner/rollouts"
+#: What the separation guard says: whole percents of speed, and why the arm stands.
+SPEED_FACTOR = "speed_ovr"
+GUARD_STOP = "separation_guard/stop"
 DIAGNOSTICS = "/diagnostics"
 CLOCK = "/clock"
 

@@ -35,7 +35,7 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, Int16
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from humanpred_ros import topics
@@ -43,7 +43,14 @@ from humanpred_ros.bags.writer import BagWriter
 from humanpred_ros.errors import HumanPredError
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.nodes import conversions, measured_arm, stomp_planner
+from humanpred_ros.nodes import (
+    commanding_node,
+    conversions,
+    guard_listener,
+    measured_arm,
+    seen_people,
+    stomp_planner,
+)
 from humanpred_ros.nodes.base import GraphNode
 from humanpred_ros.nodes.lifecycle import started
 from humanpred_ros.nodes.mutations import Mutator
@@ -246,7 +253,8 @@ class PlannerTarget(Target):
         now: Any = SimpleNamespace(
             monotonic=lambda: node.get_clock().now().nanoseconds * 1e-9, perf_counter=time.perf_counter
         )
-        vars(stomp_planner)["time"] = vars(measured_arm)["time"] = now
+        for module in (stomp_planner, commanding_node, guard_listener, measured_arm, seen_people):
+            vars(module)["time"] = now
         self.decisions: list[Any] = []
         node.decision_publisher.publish = self.decisions.append
         node.commander.send = lambda message: None
@@ -257,6 +265,9 @@ class PlannerTarget(Target):
         if spoiled and spoil.rng.random() < 0.3:
             spoil.joint_state(arm)
         yield Case(node.on_joint_state, (arm,))
+        if node.guard.heard or spoil.rng.random() < 0.01:
+            percent = int(spoil.rng.integers(-200, 300)) if spoiled else 100
+            yield Case(node.guard.on_factor, (Int16(data=percent),))
         t_ns = now_ns - 20_000_000
         cloud = stamped(bench.clouds[(now_ns // STEP_NS) % len(bench.clouds)], t_ns)
 

@@ -58,6 +58,9 @@ class StompPlannerSettings(NodeSettings):
         low=0.05,
         high=0.95,
     )
+    guard: bool = setting(
+        False, "there must be a separation guard: the arm stands until it is heard; one that was heard once must stay"
+    )
     lossless: bool = setting(False, "subscribe reliably and keep every occupancy (stepped runs)")
 
     def check(self) -> None:

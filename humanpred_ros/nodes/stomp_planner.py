@@ -11,35 +11,29 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import JointState, PointCloud2
+from sensor_msgs.msg import PointCloud2
 
 from humanpred_ros import topics
 from humanpred_ros.errors import ArrayError, PlanningError
 from humanpred_ros.geometry import compiled
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.nodes import conversions, qos
-from humanpred_ros.nodes.base import GraphNode, entry_point
-from humanpred_ros.nodes.commander import OtherCommanders, commander
-from humanpred_ros.nodes.inputs import Input, kind_of
-from humanpred_ros.nodes.markers import PlanPictures
-from humanpred_ros.nodes.measured_arm import MeasuredArm
+from humanpred_ros.nodes.base import entry_point
+from humanpred_ros.nodes.commander import OtherCommanders
+from humanpred_ros.nodes.commanding_node import CommandingNode
+from humanpred_ros.nodes.inputs import Input
 from humanpred_ros.nodes.parameters import declare, plugin_parameters
 from humanpred_ros.nodes.planner_settings import StompPlannerSettings
+from humanpred_ros.nodes.seen_people import SeenPeople
 from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, MISSED, Decision
-from humanpred_ros.planning.following import FollowingSettings
 from humanpred_ros.planning.replanner import NO_TIME, Replanner
 from humanpred_ros.robot.scene import load_scene
 
 _WATCH_PERIOD_S = 0.02
-#: After an arm did not follow, so long passes before it is commanded again, s.
-_RETRY_S = 1.0
 #: So long the controller is given to take the last stop, s.
 _LAST_WORD_S = 1.0
-#: A trajectory that ends sooner could be over before the controller has it, s.
-_LEAST_S = 0.1
 _TWO = "two planners"
 #: Threads of the process take turns so often, s.
 _SWITCH_S = 5e-4
@@ -47,7 +41,7 @@ _SWITCH_S = 5e-4
 _SHARE_PER_GOAL, _LEAST_SHARE = 0.16, 0.25
 
 
-class StompPlannerNode(GraphNode):
+class StompPlannerNode(CommandingNode):
     """P1's Algorithm 1 on topics: an occupancy comes in, a decision goes out, and a trajectory when due.
 
     Every occupancy is answered by one decision with the same stamp, unless a newer one came before its turn. Human data
@@ -75,28 +69,13 @@ class StompPlannerNode(GraphNode):
             self.replanner.warm_up()
 
     def activate(self) -> None:
+        super().activate()
         settings = self.settings
-        following = settings.part(FollowingSettings)
-        self.arm = MeasuredArm(self.replanner.joint_names, following, self.replanner.arm.difference)
-        self.begun = self.holding = self.told_hold = False
-        self.lost_s = 0.0
-        self.origin_ns = self.last_ns = self.last_now_ns = 0
-        # When what is known of people was true, and when a replanning step was finished, on a clock that nobody sets.
-        self.human_true_s = self.stepped_s = time.monotonic()
-        self.somebody_seen = False
-        self.n_holds, self.hold_reason = 0, ""
-        self.last_refusal = ""
-
-        self.commander = commander(self, settings.command_by, settings.controller, self.on_failed)
-        self.decision_publisher = self.create_publisher(DiagnosticArray, topics.DECISION, qos.SENSOR_PUBLISHER)
-        self.pictures = PlanPictures(self, self.replanner.tool_path)
-        self.hardware_id = self.resolve_topic_name(topics.TRAJECTORY).rpartition("/")[0]
-        arm_age_s, human_age_s = settings.max_arm_age_s, settings.max_human_age_s
-        if settings.lossless:
-            arm_age_s = human_age_s = math.inf
-        self.listen(JointState, topics.JOINT_STATES, self.on_joint_state, qos.ARM, max_age_s=arm_age_s)
+        self.people = SeenPeople(settings)
+        self.stepped_s = time.monotonic()  # when a replanning step was finished, on a clock that nobody sets
+        age_s = math.inf if settings.lossless else settings.max_human_age_s
         profile = qos.sensor_subscription(settings.lossless, newest_only=True)
-        self.listen(PointCloud2, topics.OCCUPANCY, self.on_occupancy, profile, max_age_s=human_age_s)
+        self.listen(PointCloud2, topics.OCCUPANCY, self.on_occupancy, profile, max_age_s=age_s)
         self.answers = Input(topics.DECISION)
         self._closing, self._asked = threading.Event(), threading.Event()
         # With how many holds there were before it came: an older one ends none.
@@ -161,54 +140,6 @@ class StompPlannerNode(GraphNode):
                 self.publish(self._hold(f"the planner failed: {error}"), self.last_ns, time.perf_counter())
             self.stop_with(PlanningError(f"the planner failed: {error}; please report this with the log"))
 
-    def on_joint_state(self, message: JointState) -> bool:
-        """Compare where the arm is with where it was commanded to be; return False for other joints' messages."""
-        if not set(message.name) & set(self.replanner.joint_names):
-            return False
-        received_s = time.perf_counter()
-        with self.replanner.lock:
-            try:
-                if not self.arm.take(message, self.get_clock().now().nanoseconds):
-                    self.refuse("late joint states: they were under way for too long to tell where the arm is")
-                    return True
-            except ArrayError as error:
-                self.refuse(str(error))
-                return True
-            # After the clock was set back, what was commanded when means nothing: the next occupancy begins anew.
-            if self.begun and not (self.settings.lossless or self._clock_is_back()):
-                self._check_arm(self.arm, received_s)
-        return True
-
-    def _check_arm(self, arm: MeasuredArm, received_s: float) -> None:
-        """Hold when the arm is not where it was commanded to be; go on from where it is once it rests."""
-        now_s = self.now_s()
-        assert arm.q is not None
-        if not self.replanner.lost:
-            trouble = self.replanner.arm_trouble(arm.following, arm.q, now_s, arm.late_s)
-            if trouble:
-                self._lose(trouble, received_s)
-        elif arm.following.at_rest and arm.came_s - self.lost_s >= _RETRY_S and not self.commander.waiting_for():
-            try:
-                self.replanner.regain(self.replanner.nearest_start(arm.q, self.settings.start_slack_rad), now_s)
-            except PlanningError as error:
-                self.refuse(str(error))
-
-    def _lose(self, reason: str, received_s: float) -> None:
-        """Tell the arm to stay where it is by now, so that it does not go on by itself when it is free again."""
-        self.lost_s = time.monotonic()
-        decision = self.replanner.correct(self.arm.position_now(), self.arm.v, self.now_s(), reason)
-        self.publish(decision, self.last_ns, received_s)
-
-    def on_failed(self, reason: str) -> None:
-        """Take the arm for one that does not follow: its controller does not carry out what it was sent last."""
-        received_s = time.perf_counter()
-        with self.replanner.lock:
-            if self.replanner.lost:  # then it was the stop: sent again and again it would fare no better
-                self.lost_s = time.monotonic()
-                self.tell(("failed", kind_of(reason)), f"the arm was told to stay where it is, but {reason}")
-            elif self.begun:
-                self._lose(reason, received_s)
-
     def on_occupancy(self, message: PointCloud2) -> None:
         """Answer one occupancy with one decision."""
         received_s = time.perf_counter()
@@ -220,12 +151,11 @@ class StompPlannerNode(GraphNode):
         if late:  # who of the two was first is not known: both leave the arm alone
             self.publish(self._hold(f"{_TWO}: {late} commands this arm, too"), stamp_ns, received_s)
             self.begun = False
-        if -age_s > self.settings.max_ahead_s and not lossless:
-            reason = f"stamp ahead: the human data's clock is {-age_s:.3g} s ahead, at most"
-            self._answer_with_hold(f"{reason} {self.settings.max_ahead_s:g} s are allowed", stamp_ns, received_s)
+        ahead, stale = self.people.ahead(age_s), self.people.stale(age_s)
+        if ahead:
+            self._answer_with_hold(ahead, stamp_ns, received_s)
             return
         back = self.begun and stamp_ns < self.last_ns
-        stale = age_s > self.settings.max_human_age_s and not lossless
         if not self.begun or (back and (lossless or now_ns < self.last_now_ns)):
             if not self._begin(stamp_ns, received_s, anew=back and not lossless):
                 return
@@ -234,8 +164,7 @@ class StompPlannerNode(GraphNode):
             return
         self.last_ns, self.last_now_ns = max(self.last_ns, stamp_ns), now_ns
         if stale:
-            reason = f"stale human data: {age_s:.2f} s old, at most {self.settings.max_human_age_s:g} s allowed"
-            self._answer_with_hold(reason, stamp_ns, received_s)
+            self._answer_with_hold(stale, stamp_ns, received_s)
             return
         t_s = (stamp_ns - self.origin_ns) * 1e-9
         try:
@@ -243,16 +172,11 @@ class StompPlannerNode(GraphNode):
         except ArrayError as error:
             self._answer_with_hold(str(error), stamp_ns, received_s, "invalid human data: ")
             return
-        if occupancy.probability.any():
-            self.somebody_seen = True
-        elif conversions.says_nobody(message):
-            self.somebody_seen = False
-        elif self.somebody_seen:
-            reason = "empty occupancy: people were there, and nobody said that they have left"
-            self._answer_with_hold(reason, stamp_ns, received_s)
+        vanished = self.people.vanished(occupancy, conversions.says_nobody(message))
+        if vanished:
+            self._answer_with_hold(vanished, stamp_ns, received_s)
             return
-        self.human_true_s = time.monotonic() - max(age_s, 0.0)
-        self.last_refusal = ""
+        self.people.believe(age_s)
         self.holding = False
         if lossless:
             self._answer(occupancy, stamp_ns, received_s, self.n_holds)
@@ -274,6 +198,9 @@ class StompPlannerNode(GraphNode):
         if self._looks_around():
             self._wait_with_hold(f"looking around: whether {_TWO} command this arm", stamp_ns)
             return False
+        if self.replanner.stopped:
+            self._wait_with_hold(self.replanner.stopped, stamp_ns)
+            return False
         if not (self.settings.lossless or self.arm.following.known):
             self._wait_with_hold("arm not known: waiting to see whether it rests", stamp_ns)
             return False
@@ -289,7 +216,7 @@ class StompPlannerNode(GraphNode):
             self.stepped_s = time.monotonic()
             self.others.begin()
             if not (self.settings.lossless or self.arm.following.at_rest):
-                self.lost_s = -_RETRY_S
+                self.lost_s = -math.inf
                 reason = "the arm moves, and not at this planner's command: it is stopped"
                 self.publish(self.replanner.correct(self.arm.q, self.arm.v, 0.0, reason), stamp_ns, received_s)
         return True
@@ -304,7 +231,7 @@ class StompPlannerNode(GraphNode):
         self.decision_publisher.publish(conversions.decision_message(waiting, stamp_ns, 0.0))
 
     def _refuse_occupancy(self, reason: str) -> None:
-        self.last_refusal = reason
+        self.people.refusal = reason
         self.refuse(reason)
 
     def _answer_with_hold(self, reason: str, stamp_ns: int, received_s: float, what: str = "") -> None:
@@ -313,18 +240,9 @@ class StompPlannerNode(GraphNode):
         if self.begun:
             self.publish(self._hold(what + reason), stamp_ns, received_s)
 
-    def _hold(self, reason: str) -> Decision:
-        with self.replanner.lock:
-            self.holding, self.hold_reason = True, reason
-            self.n_holds += 1
-            self._newest.clear()
-            if self._clock_is_back() and self.arm.q is not None:
-                return self.replanner.correct(self.arm.q, self.arm.v, self.now_s(), reason)
-            return self.replanner.hold(self.now_s(), reason)
-
-    def _clock_is_back(self) -> bool:
-        """Return whether the node's clock has been set back since the newest occupancy."""
-        return self.get_clock().now().nanoseconds < self.last_now_ns
+    def _note_hold(self, reason: str) -> None:
+        super()._note_hold(reason)
+        self._newest.clear()
 
     def _plan(self) -> None:
         """Answer the newest occupancy, again and again."""
@@ -371,13 +289,10 @@ class StompPlannerNode(GraphNode):
                 return replace(decision, action=KEEP, reason=reason)
         return decision
 
-    def now_s(self) -> float:
-        """Return the node's time in seconds after the first occupancy."""
-        return (self.get_clock().now().nanoseconds - self.origin_ns) * 1e-9
-
     def _watch(self) -> None:
         """Hold when joint states, human data or finished steps have not come for too long."""
         while not self._closing.wait(_WATCH_PERIOD_S):
+            self.guard.look()
             looked_s = time.perf_counter()
             with self.replanner.lock:
                 reason = self._overdue(time.monotonic()) if self.begun else ""
@@ -386,43 +301,18 @@ class StompPlannerNode(GraphNode):
 
     def _overdue(self, now_s: float) -> str:
         """Return what has not come for too long; empty if nothing is overdue, or nothing new."""
-        settings, replanner = self.settings, self.replanner
-        arm_s, human_s, step_s = (now_s - came_s for came_s in (self.arm.came_s, self.human_true_s, self.stepped_s))
-        if arm_s > settings.max_arm_age_s:
-            if replanner.lost:
-                return ""
-            self.lost_s = -_RETRY_S  # planned for again as soon as it is seen at rest
-            replanner.lost = f"silent arm: its joint states have not come for {arm_s:.2f} s"
-            return replanner.lost
+        silent = self._silent(now_s)
+        if silent:
+            return silent
         if self.holding:
             return ""
-        if human_s > settings.max_human_age_s:
-            why = f" ({self.last_refusal})" if self.last_refusal else ""
-            return f"stale human data: what is known of people is {human_s:.2f} s old{why}"
-        if step_s > settings.max_human_age_s + settings.period_s and not replanner.held:
+        old = self.people.overdue(now_s)
+        if old:
+            return old
+        step_s, settings = now_s - self.stepped_s, self.settings
+        if step_s > settings.max_human_age_s + settings.period_s and not self.replanner.held:
             return f"overload: no replanning step was finished for {step_s:.2f} s; the machine is too busy"
         return ""
-
-    def publish(self, decision: Decision, stamp_ns: int, received_s: float) -> None:
-        """Send the trajectory first, then the decision: who waits for the decision finds the arm informed."""
-        compute_ms = 1e3 * (time.perf_counter() - received_s)
-        with self.replanner.lock:
-            held = self.replanner.held
-            if held and decision.action != HOLD and not self.settings.lossless:
-                # The arm was stopped while this was decided.
-                decision = replace(decision, action=HOLD, reason=held, trajectory=None)
-            if decision.trajectory is not None:
-                # A controller forgets the old trajectory at once: it is sent what is left of it, then the new one.
-                now_s = decision.stamp_s if self.settings.lossless else self.now_s()
-                motion = self.replanner.motion_from(min(now_s, decision.t_switch_s)).lasting_until(now_s + _LEAST_S)
-                self.commander.send(conversions.trajectory_message(self.replanner.joint_names, motion, self.origin_ns))
-        # People want to see what changes; that a goal is kept changes nothing, unless it ends a hold.
-        if decision.action != KEEP or self.told_hold:
-            self.told_hold = decision.action == HOLD
-            kind = (decision.action, kind_of(decision.reason), decision.chosen)
-            self.tell(kind, f"t {decision.stamp_s:5.2f} s  {decision.summary()}")
-        self.decision_publisher.publish(conversions.decision_message(decision, stamp_ns, compute_ms))
-        self.pictures.show(decision, self.replanner.rollouts, conversions.time_message(stamp_ns))
 
 
 main = entry_point(StompPlannerNode)

@@ -13,6 +13,7 @@ from types import MappingProxyType
 import numpy as np
 
 from humanpred_ros.geometry.checks import FloatArray, frozen
+from humanpred_ros.planning.pace import Pace
 from humanpred_ros.planning.trajectory import Schedule, TimedTrajectory
 
 REPLAN = "replan"
@@ -80,8 +81,10 @@ class Decision:
     chosen: str | None  #: name of the goal being worked on; None before the first choice
     previous: str | None  #: the same before this step
     goals: tuple[GoalReport, ...] = ()  #: one report per goal, in the scene's order; empty where nothing was planned
-    t_switch_s: float = float("nan")  #: when `trajectory` takes over; NaN if there is none
-    trajectory: TimedTrajectory | None = None  #: to be executed, in absolute time; None where nothing changes
+    #: when `trajectory` takes over, NaN if there is none, and what is to be executed, None where nothing changes; both
+    #: in the controller's time, which is the clock's until a guard slows the arm down (`pace.Pace`)
+    t_switch_s: float = float("nan")
+    trajectory: TimedTrajectory | None = None
     compute_s: float = field(default=0.0, compare=False)  #: seconds spent; not part of the comparison
 
     @property
@@ -149,7 +152,7 @@ class State:
     """All that changes while the robot works."""
 
     period_s: float  #: of replanning steps
-    schedule: Schedule  #: what the robot executes when
+    schedule: Schedule  #: what the robot executes when, in the controller's time
     #: configurations (K, D) of each goal, continuous joints unwrapped from where the robot started
     goals: Mapping[str, FloatArray]
     last_stamp_s: float  #: of the newest step
@@ -167,13 +170,14 @@ class State:
     stops: int = 0  #: how often the robot has been stopped: a plan from before a stop is not executed
     #: why the robot is not where the schedule says, so that it may not be commanded; empty while it is there
     lost: str = ""
+    pace: Pace = field(default_factory=Pace)  #: of the controller's time
 
     def due(self, t_s: float) -> bool:
         """Return whether an occupancy stamped `t_s` calls for a step."""
         return self.urgent or self._on_time(t_s)
 
     def at_goal(self, t_s: float) -> bool:
-        """Return whether the robot will rest at the chosen goal at `t_s`."""
+        """Return whether the robot will rest at the chosen goal at `t_s`, the controller's time."""
         if self.chosen is None or self.held:
             return False
         executing = self.schedule.at(t_s)

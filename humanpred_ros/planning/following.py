@@ -7,12 +7,12 @@ it stands somewhere else. What is planned from where it should be is then wrong,
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 
 from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.planning.trajectory import Schedule
 from humanpred_ros.settings import Settings, setting
 
 #: Moments between now and the longest lag at which the commanded motion is looked at.
@@ -95,16 +95,18 @@ class ArmFollowing:
         change: FloatArray = (now - before) / (now_s - before_s)
         return change
 
-    def trouble(self, schedule: Schedule, q: FloatArray, t_s: float, delay_s: float = 0.0) -> str:
+    def trouble(
+        self, commanded_at: Callable[[FloatArray], FloatArray], q: FloatArray, t_s: float, delay_s: float = 0.0
+    ) -> str:
         """Return which joint is not where it was commanded to be, and by how much; empty if the arm follows.
 
         Args:
-            schedule: what was commanded, on the same clock.
+            commanded_at: gives the positions (T, D) that were commanded at increasing times (T,) of the same clock.
             q: (D,) where the arm was measured.
             t_s: now.
             delay_s: how long ago it was measured, at most.
         """
-        commanded = schedule.positions(t_s - np.linspace(self.settings.follow_lag_s + delay_s, 0.0, _MOMENTS))
+        commanded = commanded_at(t_s - np.linspace(self.settings.follow_lag_s + delay_s, 0.0, _MOMENTS))
         low, high = commanded.min(axis=0), commanded.max(axis=0)
         error = np.maximum(np.maximum(low - q, q - high), 0.0)
         self.error_rad = float(error.max())

@@ -34,6 +34,8 @@ from humanpred_ros.stomp.planner import COMPILED_TERMS, StompPlanner
 _SLACK_M, _SLACK_RAD = 0.005, 0.005
 #: Limits are written with about ten digits, configurations with six, rad.
 _LIMIT_TOLERANCE_RAD = 1e-6
+#: Guards tell their factor in whole percents; at less the arm stands.
+_LEAST_FACTOR = 0.01
 
 _log = logging.getLogger(__name__)
 
@@ -129,21 +131,27 @@ class Problem:
         limits = self.velocity_limit, self.acceleration_limit
         return time_parameterise(path, *limits, v, a, self.config.sample_period_s, start_s)
 
-    def stopped(self, trajectory: TimedTrajectory, t_s: float) -> TimedTrajectory:
-        """Return a stop along a trajectory from `t_s` on."""
-        return brake_along(trajectory, t_s, self.acceleration_limit, self.config.sample_period_s)
+    def stopped(self, trajectory: TimedTrajectory, t_s: float, factor: float = 1.0) -> TimedTrajectory:
+        """Return a stop along a trajectory from `t_s` on, as short as the arm can make it at a speed factor > 0.
 
-    def stopped_from(self, q: ArrayLike, v: ArrayLike, t_s: float) -> TimedTrajectory:
-        """Return a stop from a measured position and velocity (D,) at `t_s`, every joint for itself.
+        All times are the controller's, which runs at the factor (`Pace`); accelerations count as the arm feels them.
+        """
+        factor = max(factor, _LEAST_FACTOR)
+        rest = trajectory if factor == 1.0 else trajectory.since(t_s).at_pace(factor)
+        return brake_along(rest, t_s, self.acceleration_limit, self.config.sample_period_s).at_pace(1.0 / factor)
+
+    def stopped_from(self, q: ArrayLike, v: ArrayLike, t_s: float, factor: float = 1.0) -> TimedTrajectory:
+        """Return a stop from a measured position and velocity (D,) at `t_s`, every joint for itself, as `stopped`.
 
         An arm faster than it is ever commanded to be was seen to jump: its velocity is not believed. One whose way to
         rest would leave the joint limits rests where it is.
         """
         v = np.clip(v, -self.velocity_limit, self.velocity_limit)
+        factor = max(factor, _LEAST_FACTOR)
         limits = self.acceleration_limit, self.velocity_limit
         stop = stop_trajectory(q, v, np.zeros_like(v), *limits, self.config.sample_period_s, t_s)
         outside = (stop.q < self.chain.lower) | (stop.q > self.chain.upper)
-        return at_rest(q, t_s) if outside.any() else stop
+        return at_rest(q, t_s) if outside.any() else stop.at_pace(1.0 / factor)
 
     def not_free(self, trajectory: TimedTrajectory, begin_s: float) -> str:
         """Return why a trajectory must not be executed from `begin_s` on, whoever is there; empty if it may."""

@@ -27,24 +27,22 @@ from humanpred_ros.errors import PlanningError
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, MISSED, REPLAN, Decision, State
+from humanpred_ros.planning.choice import NO_TIME, decide
+from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, MISSED, Decision, State
 from humanpred_ros.planning.following import ArmFollowing
 from humanpred_ros.planning.motion_check import SelfClearance
+from humanpred_ros.planning.pace import Pace
 from humanpred_ros.planning.person import Person
 from humanpred_ros.planning.problem import Arm, Problem
 from humanpred_ros.planning.replanner_config import ReplannerConfig
-from humanpred_ros.planning.step import Candidate, Step
-from humanpred_ros.planning.trajectory import Schedule, TimedTrajectory
-from humanpred_ros.planning.waiting import wait
+from humanpred_ros.planning.step import Step
+from humanpred_ros.planning.trajectory import Schedule, TimedTrajectory, at_rest
 from humanpred_ros.robot.clearance import SelfCollision
 from humanpred_ros.robot.goals import Goal
 from humanpred_ros.robot.scene import Scene
 from humanpred_ros.stomp.costs import Float32Array
 
 __all__ = ["NO_TIME", "Replanner", "ReplannerConfig"]
-
-#: Begins the reason of a step that could not be planned.
-NO_TIME = "the deadline left no time for a single update"
 
 
 class Replanner:
@@ -58,6 +56,8 @@ class Replanner:
         keep_rollouts: whether `rollouts` is wanted; it is for pictures only.
         rollouts: noisy trajectories (R, N, D) of the last step's last update, by goal.
         lock: held while the state changes, not while a step is planned.
+        factor: speed at which the controller runs through what it is sent (`set_factor`).
+        stopped: why that is 0; empty while it is not.
     """
 
     def __init__(
@@ -92,6 +92,7 @@ class Replanner:
         self._noise_std: FloatArray | None = None
         self.keep_rollouts = False
         self.lock = threading.RLock()
+        self.factor, self.stopped = 1.0, ""
         self.rollouts: dict[str, Float32Array] = {}
 
     @classmethod
@@ -124,7 +125,9 @@ class Replanner:
             raise PlanningError(f"start configuration: {outside}; is the robot reporting this arm's joints?")
         goals = {name: q + self.arm.difference(q, goal) for name, goal in self.problem.goals.items()}
         # P1 looks at the first 5 % of a motion before it plans: no step is due yet.
-        self._state = State(self.config.period_s, Schedule(q, t_s), goals, last_stamp_s=t_s, last_due_s=t_s)
+        state = State(self.config.period_s, Schedule(q, t_s), goals, last_stamp_s=t_s, last_due_s=t_s)
+        state.pace = state.pace.changed(t_s, self.factor)
+        self._state = state
 
     def set_noise(self, noise_std: ArrayLike) -> None:
         """Let the steps to come use this noise, as in `StompConfig`: one number, or one for each joint.
@@ -162,27 +165,28 @@ class Replanner:
         Raises:
             PlanningError: as `plan`.
         """
-        state = self._check(occupancy)
-        stamp_s, t_switch_s = occupancy.t_s, occupancy.t_s + self.config.period_s
+        state, stamp_s = self._check(occupancy), occupancy.t_s
         now_s = stamp_s if now is None else now()
         with self.lock:
-            if state.lost:
-                return replace(self.hold(now_s, state.lost), stamp_s=stamp_s)
-            stops = state.stops
+            blocked = self.stopped or state.lost
+            if blocked:
+                return replace(self.hold(now_s, blocked), stamp_s=stamp_s)
+            stops, pace = state.stops, state.pace
+        seen_s, from_s, t_switch_s = pace.progress([stamp_s, now_s, stamp_s + self.config.period_s])
         person = self.problem.person(occupancy)
         # Without a goal ahead the robot stops already, or gets out of the way as well as it can.
         if state.leads_to is not None:
-            reason = person.stop_reason(state.schedule, now_s, t_switch_s)
+            reason = person.stop_reason(state.schedule, from_s, t_switch_s)
             if reason:
                 return replace(self.hold(now_s, reason), stamp_s=stamp_s)
-        if not (state.due(stamp_s) or person.calls_for_replanning(state.schedule, stamp_s, t_switch_s)):
+        if not (state.due(stamp_s) or person.calls_for_replanning(state.schedule, seen_s, t_switch_s)):
             return self.keep(occupancy)
         decision = self._planned(state, person, deadline)  # lines 4 to 6
         with self.lock:
             if state.stops != stops or self._state is not state:  # somebody has stopped the robot meanwhile
                 held = self._started()
                 return Decision(stamp_s, held.step - 1, HOLD, held.held, held.chosen, held.chosen)
-            if now is not None and decision.trajectory is not None and now() >= decision.t_switch_s:
+            if now is not None and decision.trajectory is not None and self._progress(now()) >= decision.t_switch_s:
                 return self.missed(decision)
             self.commit(decision)  # line 7
             return decision
@@ -221,7 +225,7 @@ class Replanner:
         action, reason = KEEP, "no replanning step is due"
         if state.held:
             action, reason = HOLD, state.held
-        elif state.at_goal(occupancy.t_s):
+        elif state.at_goal(self._progress(occupancy.t_s)):
             action, reason = ARRIVED, f"at {state.chosen}"
         return Decision(occupancy.t_s, state.step - 1, action, reason, state.chosen, state.chosen)
 
@@ -229,7 +233,7 @@ class Replanner:
         """Record that a decision of `plan` came too late to take over; what is being executed goes on."""
         state = self._started()
         state.count(decision.stamp_s)
-        late = f"took {decision.compute_s:.3f} s, too long to take over at {decision.t_switch_s:.3f} s"
+        late = f"took {decision.compute_s:.3f} s, too long to take over at {self.reached_s(decision):.3f} s"
         return replace(
             decision, action=MISSED, reason=late, chosen=state.chosen, previous=state.chosen,
             t_switch_s=float("nan"), trajectory=None,
@@ -240,16 +244,37 @@ class Replanner:
 
         Further holds return no new trajectory; the next plan that is committed ends the hold.
         """
-        state = self._started()
+        state, at_s = self._started(), self._progress(t_s)
         # An arm at rest needs no stop, unless it is about to set out.
-        resting = self.at_rest(t_s) and state.schedule.last_from_s <= t_s
-        stop = None if state.held or resting else self.problem.stopped(state.schedule.at(t_s), t_s)
-        decision = Decision(
-            t_s, state.step, HOLD, reason, state.chosen, state.chosen,
-            t_switch_s=float("nan") if stop is None else t_s, trajectory=stop,
-        )  # fmt: skip
-        state.stop(decision)
-        return decision
+        resting = self.at_rest(t_s) and state.schedule.last_from_s <= at_s
+        stop = None if state.held or resting else self.problem.stopped(state.schedule.at(at_s), at_s, self.factor)
+        return self._stop(t_s, reason, stop)
+
+    def set_factor(self, factor: float, t_s: float, reason: str = "") -> Decision | None:
+        """Let the arm's controller run through what it is sent at a factor of 0 to 1 from `t_s` on.
+
+        At 0 the arm stands: hold for that reason until the factor has been raised and, where the robot had been
+        started, `regain` was called.
+
+        Returns:
+            The hold that a factor of 0 is, if the arm did not stand by it already; None otherwise.
+
+        Raises:
+            PlanningError: for another factor, or a time that is not finite.
+        """
+        pace = Pace().changed(t_s, factor) if self._state is None else self._state.pace.changed(t_s, factor)
+        stopped, self.stopped, self.factor = self.stopped, "" if factor else reason, factor
+        if self._state is None:
+            return None
+        state, state.pace = self._state, pace
+        if factor:
+            return None
+        if stopped:
+            state.lost = state.held = reason
+            return None
+        at_s = self._progress(t_s)
+        state.lost = reason
+        return self._stop(t_s, reason, at_rest(state.schedule.state_at(at_s)[0], at_s))
 
     def correct(self, q: ArrayLike, v: ArrayLike, t_s: float, reason: str) -> Decision:
         """Take the arm for where it was measured instead of where it was commanded to be, and hold until `regain`.
@@ -264,18 +289,15 @@ class Replanner:
         Raises:
             PlanningError: before `start`, or for a state of another shape.
         """
-        state = self._started()
-        stop = self.problem.stopped_from(q, v, t_s)
-        state.schedule = Schedule(stop.q[0], t_s)
-        decision = Decision(t_s, state.step, HOLD, reason, state.chosen, state.chosen, t_switch_s=t_s, trajectory=stop)
-        state.stop(decision)
-        state.lost = reason
-        return decision
+        state, at_s = self._started(), self._progress(t_s)
+        stop = self.problem.stopped_from(q, v, at_s, self.factor)
+        state.schedule, state.lost = Schedule(stop.q[0], at_s), reason
+        return self._stop(t_s, reason, stop)
 
     def regain(self, q: ArrayLike, t_s: float) -> None:
         """Go on with an arm that was `lost`: measured at rest at `q` (D,) at `t_s`; raises as `correct`."""
         state = self._started()
-        state.schedule, state.lost = Schedule(q, t_s), ""
+        state.schedule, state.lost = Schedule(q, self._progress(t_s)), ""
 
     @property
     def held(self) -> str:
@@ -292,12 +314,21 @@ class Replanner:
         self._started().lost = reason
 
     def motion_from(self, t_s: float) -> TimedTrajectory:
-        """Return all that is commanded from `t_s` on, as one trajectory that begins with the state then."""
-        return self._started().schedule.motion_from(t_s)
+        """Return all that is commanded from `t_s` on, as one trajectory that begins with the state then.
+
+        From its beginning at `t_s` on, its times are the controller's own.
+        """
+        at_s = self._progress(t_s)
+        return self._started().schedule.motion_from(at_s).later(t_s - at_s)
+
+    def reached_s(self, decision: Decision) -> float:
+        """Return when a decision's trajectory takes over at the present speed factor, NaN if it has none."""
+        return self._started().pace.reached_s(decision.t_switch_s)
 
     def arm_trouble(self, following: ArmFollowing, q: FloatArray, t_s: float, delay_s: float = 0.0) -> str:
         """Return why the arm does not follow what is commanded, as `ArmFollowing.trouble`; empty if it does."""
-        return following.trouble(self._started().schedule, q, t_s, delay_s)
+        state = self._started()
+        return following.trouble(lambda t: state.schedule.positions(state.pace.progress(t)), q, t_s, delay_s)
 
     def nearest_start(self, q: ArrayLike, slack_rad: float) -> FloatArray:
         """Return where planning begins for an arm measured at `q` (D,): the nearest configuration within the limits.
@@ -315,11 +346,13 @@ class Replanner:
 
     def state_at(self, t_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position, velocity and acceleration (D,) commanded at `t_s`."""
-        return self._started().schedule.state_at(t_s)
+        q, v, a = self._started().schedule.state_at(self._progress(t_s))
+        return q, v * self.factor, a * self.factor**2
 
     def at_rest(self, t_s: float) -> bool:
         """Return whether the robot is commanded to rest at `t_s`."""
-        return self._started().schedule.at(t_s).end_s <= t_s
+        at_s = self._progress(t_s)
+        return self._started().schedule.at(at_s).end_s <= at_s
 
     def tool_path(self, path: ArrayLike) -> FloatArray:
         """Return the (N, 3) world positions of the tool along a path (N, D)."""
@@ -338,10 +371,24 @@ class Replanner:
     def _planned(self, state: State, person: Person, deadline: Callable[[], bool] | None) -> Decision:
         began = time.perf_counter()
         step = Step(self.problem, state, person, self._noise_std, deadline)  # line 4: where the arm will be
-        decision = _decide(step)
+        decision = decide(step)
         runs = [(c.name, c.run) for c in step.candidates if c.run is not None and c.run.iterations]
         self.rollouts = {name: run.rollouts for name, run in runs} if self.keep_rollouts else {}
         return replace(decision, compute_s=time.perf_counter() - began)
+
+    def _stop(self, t_s: float, reason: str, stop: TimedTrajectory | None) -> Decision:
+        """Hold from `t_s` on; `stop` is how, None for a robot that rests or stops already."""
+        state = self._started()
+        t_switch_s = float("nan") if stop is None else stop.start_s
+        decision = Decision(
+            t_s, state.step, HOLD, reason, state.chosen, state.chosen, t_switch_s=t_switch_s, trajectory=stop
+        )
+        state.stop(decision)
+        return decision
+
+    def _progress(self, t_s: float) -> float:
+        """Return the controller's time at `t_s`."""
+        return float(self._started().pace.progress(t_s))
 
     def _started(self) -> State:
         if self._state is None:
@@ -361,44 +408,3 @@ class Replanner:
                 "use one scene for predictor and planner"
             )
         return state
-
-
-def _decide(step: Step) -> Decision:
-    """Return the decision of a step: the best path that can be executed, or what to do without one."""
-    chosen, leave = step.state.chosen, ""
-    if chosen is not None and step.state.at_goal(step.t_switch_s):
-        leave = step.person.rest_conflict(step.q)
-        if not leave:
-            arriving = step.executing.end_s > step.stamp_s
-            action, reason = (KEEP, f"about to arrive at {chosen}") if arriving else (ARRIVED, f"at {chosen}")
-            return step.decision(action, reason, chosen, reports=(step.report_at_goal(chosen),))
-    step.plan_to_goals()  # line 5
-    considered = [candidate.report for candidate in step.candidates if not candidate.report.set_aside]
-    if considered and all(report.iterations == 0 for report in considered) and step.late:
-        return wait(step, NO_TIME)
-    for candidate in step.ranked():  # line 6
-        trajectory = step.executing if candidate.executing else step.timed(candidate.report.path)
-        trouble = step.trouble(trajectory)
-        if trouble:
-            candidate.report = replace(candidate.report, set_aside=trouble)
-        elif candidate.executing:
-            return step.decision(KEEP, "no better path than the one being executed", candidate.name)
-        else:
-            return step.decision(REPLAN, _why(step, candidate, leave), candidate.name, trajectory)
-    refused = "; ".join(f"{candidate.name}: {candidate.report.obstacle_to_choice}" for candidate in step.candidates)
-    return wait(step, f"no path can be executed ({refused})")
-
-
-def _why(step: Step, candidate: Candidate, leave: str) -> str:
-    """Return why a goal's path is to be executed; `leave` is why the robot must leave the goal it is at."""
-    chosen, report = step.state.chosen, candidate.report
-    if chosen is None:
-        return f"{report.name} is the cheapest goal"
-    if report.name == chosen:
-        return f"a better path to {report.name}" if step.state.leads_to == chosen else f"a way to {report.name} again"
-    if leave:
-        return f"leaves {chosen}: {leave}"
-    old = next(other.report for other in step.candidates if other.name == chosen)
-    if not old.eligible:
-        return f"{chosen} cannot be worked on: {old.obstacle_to_choice}"
-    return f"{report.name} costs {report.selection_cost:.4f}, {chosen} {old.selection_cost:.4f}"

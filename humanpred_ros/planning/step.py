@@ -45,7 +45,8 @@ class Step:
 
     Attributes:
         problem, config, state, person: the arm and its goals, settings, what the step starts from, and the person now.
-        stamp_s, t_switch_s: stamp of the occupancy; when the step's trajectory takes over, one period later.
+        stamp_s: stamp of the occupancy.
+        seen_s, t_switch_s: the same in the controller's time; when the step's trajectory takes over, a period later.
         executing: the trajectory being executed at the switch if nothing changes.
         q, v, a: (D,) position, velocity and acceleration at the switch.
         planner, human: STOMP for this occupancy, and the cost of the person.
@@ -65,7 +66,8 @@ class Step:
         self.problem, self.config, self.state, self.person = problem, problem.config, state, person
         self.noise_std, self.deadline = noise_std, deadline
         self.stamp_s = person.occupancy.t_s
-        self.t_switch_s = self.stamp_s + problem.config.period_s
+        self.seen_s = float(state.pace.progress(self.stamp_s))
+        self.t_switch_s = float(state.pace.progress(self.stamp_s + problem.config.period_s))
         self.executing = state.schedule.at(self.t_switch_s)
         self.q, self.v, self.a = self.executing.sample(self.t_switch_s)
         self.planner, self.human = problem.planner(person.occupancy)

@@ -112,6 +112,23 @@ class TimedTrajectory:
         a = np.where(at_end | before, 0.0, a)
         return q, v, a
 
+    def since(self, t_s: float) -> TimedTrajectory:
+        """Return what is left of this trajectory at `t_s`."""
+        later = self.t_s > t_s
+        rows = zip((t_s, *self.sample(t_s)), (self.t_s, self.q, self.v, self.a), strict=True)
+        return TimedTrajectory(*(np.concatenate([[now], row[later]]) for now, row in rows))
+
+    def at_pace(self, factor: float) -> TimedTrajectory:
+        """Return the same way from the first knot on, run through at `factor` > 0 times the speed."""
+        if factor == 1.0:
+            return self
+        t = self.start_s + (self.t_s - self.start_s) / factor
+        return TimedTrajectory(t, self.q, self.v * factor, self.a * factor**2)
+
+    def later(self, by_s: float) -> TimedTrajectory:
+        """Return the same motion so much later."""
+        return TimedTrajectory(self.t_s + by_s, self.q, self.v, self.a)
+
     def lasting_until(self, t_s: float) -> TimedTrajectory:
         """Return this trajectory, with rest at its end up to `t_s` if it ends sooner."""
         if self.end_s >= t_s:

@@ -41,7 +41,7 @@ def wait(step: Step, reason: str) -> Decision:
         return step.decision(KEEP, reason + "; what is being executed still can", chosen)
     stop = None
     if not state.held and (step.v.any() or step.a.any()):
-        stop = step.problem.stopped(step.executing, step.t_switch_s)
+        stop = step.problem.stopped(step.executing, step.t_switch_s, state.pace.factor)
     comes = person.rest_conflict(step.q if stop is None else stop.q[-1])
     too_close = stop is not None and _gap_m(step, stop) < step.problem.config.min_separation_m
     why = comes or ("stopping alone would come too close to the person" if too_close else "")

@@ -12,9 +12,11 @@ from humanpred_ros.robot.scene import load_scene
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
 from planner_client import NS, PlannerClient, nobody
+from std_msgs.msg import Int16, String
 from waiting import wait_until
 
-from humanpred_ros.nodes import conversions
+from humanpred_ros import topics
+from humanpred_ros.nodes import conversions, qos
 
 SCENE = load_scene("face_to_face")
 PARAMETERS = {"scene": "face_to_face", "iterations": 5, "waypoints": 40, "period_s": 0.2, "velocity_scale": 0.05}
@@ -107,6 +109,52 @@ def test_an_arm_that_falls_silent_is_stopped_every_time(session: Session) -> Non
         assert {d.action for d in client.decisions[n_before:]} == {"hold"}
         assert len(client.trajectories) == n_sent
         client.arm_runs = True
+
+
+class Guard:
+    """Says a factor 30 times a second, which the arm obeys, as long as it runs."""
+
+    def __init__(self, session: Session) -> None:
+        node, self.controller = session.client.node, session.client.controller
+        self.percent, self.reason, self.runs = 100, "", True
+        self.factors = node.create_publisher(Int16, topics.SPEED_FACTOR, qos.SENSOR_PUBLISHER)
+        self.reasons = node.create_publisher(String, topics.GUARD_STOP, qos.COMMAND)
+        node.create_timer(1.0 / 30.0, self.say)
+
+    def say(self) -> None:
+        self.controller.speed_factor = self.percent / 100.0 if self.runs else 0.0
+        if self.runs:
+            self.reasons.publish(String(data=self.reason))
+            self.factors.publish(Int16(data=self.percent))
+
+
+def test_the_planner_obeys_the_guard_and_notices_its_end(session: Session) -> None:
+    guard = Guard(session)
+    client = session.client
+    for percent in (100, 40):
+        guard.percent, guard.reason = percent, ""
+        session.until_moving()
+    guard.percent, guard.reason = 0, "the person is 0.20 m away"
+    session.until_hold("separation guard: the person is 0.20 m away")
+    q, n_before = client.controller.q.copy(), len(client.decisions)
+    session.go_on(lambda: len(client.decisions) > n_before + 20, "answers while the arm stands")
+    assert {d.action for d in client.decisions[n_before:]} == {"hold"}
+    guard.percent, guard.reason = 30, ""
+    assert farthest(client) < TOLERANCE_RAD  # nothing that the arm would go on with by itself
+    assert np.abs(client.controller.q - q).max() < TOLERANCE_RAD
+    session.until_moving()
+    guard.runs = False
+    session.until_hold("guard silent")
+    guard.runs = True
+    session.until_moving()
+    guard.percent = 300
+    session.until_hold("invalid speed factor")
+    guard.percent = 100
+    session.until_moving()
+    other = client.node.create_publisher(Int16, topics.SPEED_FACTOR, qos.SENSOR_PUBLISHER)
+    session.until_hold("two guards")
+    client.node.destroy_publisher(other)
+    session.until_moving()
 
 
 def test_a_stamp_ahead_holds_and_spoils_nothing(session: Session) -> None:

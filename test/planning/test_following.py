@@ -22,7 +22,7 @@ def commanded() -> Schedule:
 
 def troubles(schedule: Schedule, late_s: float, subject: ArmFollowing) -> list[str]:
     times = np.arange(0.0, 3.0, 0.01)
-    return [subject.trouble(schedule, schedule.state_at(t - late_s)[0], t) for t in times]
+    return [subject.trouble(schedule.positions, schedule.state_at(t - late_s)[0], t) for t in times]
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.02, 0.15])
@@ -38,15 +38,15 @@ def test_an_arm_that_is_far_behind_does_not_follow() -> None:
 def test_an_arm_that_stands_is_found_out_as_soon_as_it_is_too_far() -> None:
     schedule, subject = commanded(), ArmFollowing(NAMES)
     times = np.arange(0.0, 3.0, 0.01)
-    first = next(t for t in times if subject.trouble(schedule, np.zeros(2), t))
+    first = next(t for t in times if subject.trouble(schedule.positions, np.zeros(2), t))
     assert 0.05 <= schedule.state_at(first - 0.15)[0][0] < 0.07
-    assert "is at 0.000 rad" in subject.trouble(schedule, np.zeros(2), 2.0)
+    assert "is at 0.000 rad" in subject.trouble(schedule.positions, np.zeros(2), 2.0)
 
 
 def test_tolerances_are_of_each_joint() -> None:
     subject = ArmFollowing(NAMES, FollowingSettings(follow_tolerance_rad=(1.0, 0.01)))
-    assert "elbow" in subject.trouble(commanded(), np.array([0.5, 0.02]), -0.5)
-    assert subject.trouble(commanded(), np.array([0.5, 0.0]), -0.5) == ""
+    assert "elbow" in subject.trouble(commanded().positions, np.array([0.5, 0.02]), -0.5)
+    assert subject.trouble(commanded().positions, np.array([0.5, 0.0]), -0.5) == ""
     assert subject.error_rad == 0.5
     with pytest.raises(PlanningError, match=r"follow_tolerance_rad.* 2 of them, got 3"):
         ArmFollowing(NAMES, FollowingSettings(follow_tolerance_rad=(1.0, 1.0, 1.0)))
