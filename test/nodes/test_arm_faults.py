@@ -131,7 +131,7 @@ class Guard:
 def test_the_planner_obeys_the_guard_and_notices_its_end(session: Session) -> None:
     guard = Guard(session)
     client = session.client
-    for percent in (100, 40):
+    for percent in (100, 70):
         guard.percent, guard.reason = percent, ""
         session.until_moving()
     guard.percent, guard.reason = 0, "the person is 0.20 m away"
@@ -139,7 +139,7 @@ def test_the_planner_obeys_the_guard_and_notices_its_end(session: Session) -> No
     q, n_before = client.controller.q.copy(), len(client.decisions)
     session.go_on(lambda: len(client.decisions) > n_before + 20, "answers while the arm stands")
     assert {d.action for d in client.decisions[n_before:]} == {"hold"}
-    guard.percent, guard.reason = 30, ""
+    guard.percent, guard.reason = 70, ""
     assert farthest(client) < TOLERANCE_RAD  # nothing that the arm would go on with by itself
     assert np.abs(client.controller.q - q).max() < TOLERANCE_RAD
     session.until_moving()
