@@ -57,18 +57,33 @@ _REACH_PERIOD_NS = 1_000_000_000
 class OccupancyPredictorSettings(PlausibilitySettings, StampSettings, NodeSettings):
     """Parameters of `occupancy_predictor`."""
 
-    scene: str = setting("face_to_face", "scene name in config/scenes, or a YAML file")
-    model: str = setting("", "model file made by `humanpred train`; empty: train on `library` at start")
-    library: str = setting("synthetic_reaches", "library trained on when no model is given")
+    scene: str = setting(
+        "face_to_face",
+        "scene name in config/scenes, or a YAML file",
+        restart="the lattice of voxels is the scene's",
+    )
+    model: str = setting(
+        "", "model file made by `humanpred train`; empty: train on `library` at start", restart="a model is loaded once"
+    )
+    library: str = setting(
+        "synthetic_reaches", "library trained on when no model is given", restart="the model was trained on it"
+    )
     classifier: str = setting(
-        DEFAULT_CLASSIFIER, "how a partial motion is recognised: forest, gmm (P1), or an installed package's"
+        DEFAULT_CLASSIFIER,
+        "how a partial motion is recognised: forest, gmm (P1), or an installed package's",
+        restart="the model was trained for it",
     )
     predictor: str = setting(
         DEFAULT_PREDICTOR,
         "forecast, swept_volume (P1), reaching (P2), a baseline (current, current_accumulated, constant_velocity), or "
         "an installed package's",
+        restart="the model was trained, and code compiled, for it",
     )
-    human: str = setting("kinect12", "whose postures come: kinect12 (P1, 12 DoFs) or mocap23 (P2, 23 DoFs)")
+    human: str = setting(
+        "kinect12",
+        "whose postures come: kinect12 (P1, 12 DoFs) or mocap23 (P2, 23 DoFs)",
+        restart="the model was trained for it",
+    )
     human_frame: str = setting(
         "", "frame the postures must be in; empty: the scene's, else the library's; with TF, others are moved there"
     )

@@ -16,17 +16,21 @@ from humanpred_ros.stomp.config import StompConfig
 class StompPlannerSettings(NodeSettings):
     """Parameters of `stomp_planner`."""
 
-    scene: str = setting("face_to_face", "scene name in config/scenes, or a YAML file")
+    scene: str = setting(
+        "face_to_face",
+        "scene name in config/scenes, or a YAML file",
+        restart="robot, obstacles and clearances are computed from it",
+    )
     period_s: float = setting_of(ReplannerConfig, "period_s")
     seed: int = setting_of(ReplannerConfig, "seed")
     threads: int = setting_of(ReplannerConfig, "threads")
-    waypoints: int = setting_of(StompConfig, "waypoints")
+    waypoints: int = setting_of(StompConfig, "waypoints", restart="the noise is computed for paths of this length")
     iterations: int = setting_of(StompConfig, "iterations", low=1)
     rollouts: int = setting_of(
         StompConfig, "rollouts", description="noisy rollouts per iteration, half of them reused", low=2
     )
     noise_std: float = setting_of(StompConfig, "noise_std")
-    cost_terms: tuple[str, ...] = setting_of(ReplannerConfig, "cost_terms")
+    cost_terms: tuple[str, ...] = setting_of(ReplannerConfig, "cost_terms", restart="they are compiled together")
     noise_decay: float = setting_of(StompConfig, "noise_decay")
     velocity_scale: float = setting_of(ReplannerConfig, "velocity_scale")
     acceleration_limit: float = setting_of(ReplannerConfig, "acceleration_limit")

@@ -32,7 +32,11 @@ _FLUSH_PERIOD_S = 0.5
 class RunRecorderSettings(NodeSettings):
     """Parameters of `run_recorder`."""
 
-    output: str = setting("", "folder of the bag; must not exist yet")
+    output: str = setting(
+        "",
+        "folder of the bag; must not exist yet; a recorder that is activated again adds _2, _3 to it",
+        restart="a bag is one folder from beginning to end",
+    )
     body_id: str = setting("body_0", "REP-155 body id recorded")
     wait_for: str = setting(
         ",".join((topics.human_joint_states("<id>"), topics.OCCUPANCY, topics.DECISION, topics.JOINT_STATES)),

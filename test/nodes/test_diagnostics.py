@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import yaml
 from paths import REPOSITORY
 
 from humanpred_ros.motion.library_io import load_library
@@ -14,6 +15,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from node_client import NodeClient
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from reference import node_settings
 from sensor_msgs.msg import JointState
 
 from humanpred_ros import topics
@@ -69,3 +71,14 @@ def test_a_predictor_is_ok_only_while_postures_come(tmp_path: Path) -> None:
             assert client.diagnostics[1]["ready"] == "true", "whoever waits for it may begin"
         log = client.process.log.read_text(encoding="utf-8")
         assert log.count("refused missing joints") == 2, "once each time they begin"
+
+
+@pytest.mark.parametrize("namespace", ["", "/robot1/"])
+def test_every_node_is_in_one_group_of_the_aggregator(namespace: str) -> None:
+    written = yaml.safe_load((REPOSITORY / "config" / "diagnostics.yaml").read_text(encoding="utf-8"))
+    groups = {name: group for name, group in written["analyzers"]["ros__parameters"].items() if name != "path"}
+    assert set(groups) == {"robot", "people", "planning", "recording"}
+    for node in node_settings():
+        status = f"{namespace}{node}"
+        found = [name for name, group in groups.items() if any(part in status for part in group["contains"])]
+        assert len(found) == 1, (status, found)

@@ -117,9 +117,10 @@ def test_a_manager_brings_the_graph_up_down_and_up(tmp_path: Path) -> None:
             assert manager.state(name) == "active"
         refused = "refused/transition in the wrong state"
         manager.wait(lambda: all(manager.told[name][2].get(refused) == "1" for name in GRAPH), "refusals")
-        done, why = manager.set_parameter("period_s", 0.2, "stomp_planner")
+        done, why = manager.set_parameter("waypoints", 60, "stomp_planner")
         assert not done
-        assert why.startswith("period_s: cannot change at run time: start the node anew with it, or clean")
+        assert why.startswith("waypoints: cannot change at run time: start the node anew with it, or clean")
+        assert why.endswith("the noise is computed for paths of this length")
 
         # Down: with the planner the arm rests, although its driver still runs.
         for name in ("skeleton_tracker_replay", "run_recorder", "occupancy_predictor"):
