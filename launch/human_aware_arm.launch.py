@@ -1,86 +1,169 @@
-"""The whole graph for those who have ros2 launch: tracker replay, predictor, planner, simulated arm, recorder.
+"""The graph for those who have ros2 launch: body tracker, predictor, planner, guard, arm and recorder, each in or out.
 
-`ros2 launch humanpred_ros human_aware_arm.launch.py scene:=face_to_face trajectory:=3/2 record:=run_bag`
+A demonstration, whose end is that of the replayed motion:
+
+    ros2 launch humanpred_ros human_aware_arm.launch.py trajectory:=3/2 record:=run_bag
+
+An arm and a tracker of one's own, in operation:
+
+    ros2 launch humanpred_ros human_aware_arm.launch.py arm:=false tracker:=false guard:=true scene:=my_table.yaml \
+        trajectory_topic:=/scaled_joint_trajectory_controller/joint_trajectory joint_states_topic:=/joint_states
 """
 
 from __future__ import annotations
 
 from typing import Any, List  # noqa: UP035 -- launch knows no list[str]
 
-from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch import Action, LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-ARGUMENTS = {
-    "scene": ("face_to_face", "scene name in config/scenes, or a YAML file"),
-    "library": ("synthetic_reaches", "motion library: a shipped name, a rosbag2 directory or a CSV folder"),
-    "trajectory": ("0/0", "motion to replay: class/index, or the running number over sorted classes"),
-    "model": ("", "model file made by `humanpred train`; empty trains on the library at start"),
-    "predictor": (
-        "forecast",
-        "forecast, swept_volume (P1), reaching (P2), or a baseline: current, current_accumulated, constant_velocity",
-    ),
-    "human": ("kinect12", "whose postures come: kinect12 (P1, 12 DoFs) or mocap23 (P2, 23 DoFs)"),
-    "places": ("['']", "predictor reaching: places the hand may go to, as in \"['3 -0.22 -0.67 0.80']\""),
+from humanpred_ros import topics
+
+#: What is started, and whether it is unless somebody says otherwise.
+PARTS = {
+    "arm": ("true", "start simulated_arm; false: there is a driver or a simulator with a trajectory controller"),
+    "tracker": ("true", "start skeleton_tracker_replay; false: there is a body tracker"),
+    "predictor_node": ("true", "start occupancy_predictor; false: somebody else publishes the occupancy"),
+    "planner": ("true", "start stomp_planner"),
+    "guard": ("false", "start separation_guard; the planner then moves the arm only while it hears it"),
+}
+#: What the nodes are told; one left empty is as the parameter file says, else the node's default.
+TOLD = {
+    "scene": "scene name in config/scenes, or a YAML file",
+    "library": "motion library: a shipped name, a rosbag2 directory or a CSV folder",
+    "trajectory": "motion to replay: class/index, or the running number over sorted classes",
+    "model": "model file made by `humanpred train`; without one the predictor trains on the library at start",
+    "predictor": "forecast, swept_volume (P1), reaching (P2), a baseline, or an installed package's",
+    "human": "whose postures come: kinect12 (P1, 12 DoFs) or mocap23 (P2, 23 DoFs)",
+    "body_id": "REP-155 body id, part of the names of the body's topics",
+}
+OTHERS = {
+    "places": ("", "predictor reaching: places the hand may go to, as in \"['3 -0.22 -0.67 0.80']\""),
     "record": ("", "folder of the bag, must not exist yet; empty records nothing"),
+    "params_file": ("", "file of parameters, as config/nodes.yaml; arguments given here come first"),
+    "namespace": ("", "of all nodes and topics, as robot1, for several robots on one network"),
+    "trajectory_topic": ("", f"the arm's controller listens to it; empty: {topics.TRAJECTORY}"),
+    "joint_states_topic": ("", f"the arm's joint states come on it; empty: {topics.JOINT_STATES}"),
+    "use_sim_time": ("false", "time comes from /clock; the replay, if started, publishes it"),
+    "domain": ("", "ROS_DOMAIN_ID of the nodes; empty: that of the terminal"),
+    "managed": ("false", "nodes wait for a lifecycle manager to configure and activate them"),
+    "demo": ("true", "the end of the replay ends everything"),
 }
 # The first start on a machine compiles the planner and trains a model before anybody is ready.
 READY_TIMEOUT_S = 300.0
+RESPAWN_DELAY_S = 2.0
+#: Status with which a node ends that cannot use what it was given: started again it would say the same.
+BAD_INPUT = 2
 
 
-def text(name: str) -> ParameterValue:
-    """Return a launch argument as text, also where it looks like a number (`trajectory:=3`)."""
-    return ParameterValue(LaunchConfiguration(name), value_type=str)
+class Graph:
+    """The nodes to start, from the values of the launch arguments."""
+
+    def __init__(self, context: LaunchContext) -> None:
+        self.value = {name: LaunchConfiguration(name).perform(context) for name in (*PARTS, *TOLD, *OTHERS)}
+
+    def on(self, name: str) -> bool:
+        """Return whether an argument says yes.
+
+        Raises:
+            RuntimeError: neither true nor false.
+        """
+        value = self.value[name].lower()
+        if value not in ("true", "false"):
+            raise RuntimeError(f"launch argument {name}: wanted true or false, got {self.value[name]}")
+        return value == "true"
+
+    def node(self, executable: str, told: str, ends: str, **own: Any) -> Node:
+        """Return a node.
+
+        Args:
+            executable: its name.
+            told: the launch arguments that are its parameters, with spaces between them; their values are texts, also
+                where they look like numbers (`trajectory:=3`).
+            ends: what its end does: "all" ends everything; after "again" it is started again, as the arm rests
+                meanwhile: its peers notice its silence; "alone" ends nothing else.
+            own: its other parameters.
+        """
+        given = {name: ParameterValue(self.value[name], value_type=str) for name in told.split() if self.value[name]}
+        managed = {"managed": True} if self.on("managed") else {}
+        parameters = [self.value["params_file"], {**given, **managed, **own}]
+        renamed = {topics.TRAJECTORY: "trajectory_topic", topics.JOINT_STATES: "joint_states_topic"}
+        policy: dict[str, Any] = {}
+        if ends == "all":
+            policy = {"on_exit": Shutdown(reason=f"{executable} has ended")}
+        elif ends == "again":
+            policy = {"respawn": True, "respawn_delay": RESPAWN_DELAY_S, "on_exit": cannot_start}
+        return Node(
+            package="humanpred_ros",
+            executable=executable,
+            namespace=self.value["namespace"] or None,
+            parameters=[some for some in parameters if some],
+            remappings=[(topic, self.value[name]) for topic, name in renamed.items() if self.value[name]],
+            output="screen",
+            **policy,
+        )
+
+    def nodes(self) -> dict[str, Node]:
+        """Return what is to be started, by name; the replay waits for all others that are."""
+        clock = {"use_sim_time": True} if self.on("use_sim_time") else {}
+        arm, tracker, guard = self.on("arm"), self.on("tracker"), self.on("guard")
+        predictor, planner = self.on("predictor_node"), self.on("planner")
+        nodes = {}
+        if arm:
+            nodes["simulated_arm"] = self.node("simulated_arm", "scene", "all", **clock)
+        if guard:
+            nodes["separation_guard"] = self.node("separation_guard", "scene human", "again", **clock)
+        if planner:
+            own: dict[str, Any] = {"controller": "simulated_arm"} if arm else {}
+            own |= {"listener": "skeleton_tracker_replay"} if tracker else {}
+            own |= {"guard": True} if guard else {}
+            nodes["stomp_planner"] = self.node("stomp_planner", "scene", "again", **own, **clock)
+        if predictor:
+            own = {"listener": "stomp_planner"} if planner else {}
+            if self.value["places"]:
+                own["places"] = ParameterValue(self.value["places"], value_type=List[str])  # noqa: UP006
+            told = "scene library model predictor human body_id"
+            nodes["occupancy_predictor"] = self.node("occupancy_predictor", told, "again", **own, **clock)
+        if self.value["record"]:  # its end ends nothing: a full disk must not stop the work
+            output = ParameterValue(self.value["record"], value_type=str)
+            nodes["run_recorder"] = self.node("run_recorder", "body_id", "alone", output=output)
+        if tracker:
+            own = {"listener": "occupancy_predictor"} if predictor else {}
+            own |= {"publish_clock": True} if clock else {}
+            nodes["skeleton_tracker_replay"] = self.node(
+                "skeleton_tracker_replay",
+                "library trajectory body_id",
+                "all" if self.on("demo") else "alone",
+                wait_for=",".join(nodes),
+                ready_timeout_s=READY_TIMEOUT_S,
+                **own,
+            )
+        return nodes
 
 
-def node(executable: str, **parameters: Any) -> Node:
-    """Return a node without which the graph is of no use: when it ends, everything ends."""
-    return Node(
-        package="humanpred_ros",
-        executable=executable,
-        parameters=[parameters],
-        output="screen",
-        on_exit=Shutdown(reason=f"{executable} has ended"),
-    )
+def cannot_start(event: Any, context: LaunchContext) -> list[Action]:
+    """End everything if a node has ended because of what it was given, and would end again."""
+    if event.returncode != BAD_INPUT:
+        return []
+    return [Shutdown(reason=f"{event.process_name} cannot use what it was given: its last line says why")]
 
 
-def graph(context: LaunchContext) -> list[Node]:
-    """Return the nodes; the replay waits for all others, for a recorder only where there is one."""
-    nodes = [
-        node("simulated_arm", scene=text("scene")),
-        node("stomp_planner", scene=text("scene"), controller="simulated_arm", listener="skeleton_tracker_replay"),
-        node(
-            "occupancy_predictor",
-            scene=text("scene"),
-            library=text("library"),
-            model=text("model"),
-            predictor=text("predictor"),
-            human=text("human"),
-            places=ParameterValue(LaunchConfiguration("places"), value_type=List[str]),  # noqa: UP006
-            listener="stomp_planner",
-        ),
-    ]
-    peers = ["simulated_arm", "stomp_planner", "occupancy_predictor"]
-    if LaunchConfiguration("record").perform(context):
-        nodes.append(node("run_recorder", output=text("record")))
-        peers.append("run_recorder")
-    tracker = node(
-        "skeleton_tracker_replay",
-        library=text("library"),
-        trajectory=text("trajectory"),
-        wait_for=",".join(peers),
-        listener="occupancy_predictor",
-        ready_timeout_s=READY_TIMEOUT_S,
-    )
-    return [*nodes, tracker]
+def graph(context: LaunchContext) -> list[Action]:
+    """Return the actions that start the nodes."""
+    chosen = Graph(context)
+    domain = chosen.value["domain"]
+    before = [SetEnvironmentVariable("ROS_DOMAIN_ID", domain)] if domain else []
+    return [*before, *chosen.nodes().values()]
 
 
 def generate_launch_description() -> LaunchDescription:
     """Return the arguments that people change, and the graph."""
+    defaults = {**PARTS, **{name: ("", f"{text}; empty: the node's default") for name, text in TOLD.items()}, **OTHERS}
     arguments = [
         DeclareLaunchArgument(name, default_value=default, description=description)
-        for name, (default, description) in ARGUMENTS.items()
+        for name, (default, description) in defaults.items()
     ]
     return LaunchDescription([*arguments, OpaqueFunction(function=graph)])

@@ -8,10 +8,10 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any, List  # noqa: UP035 -- launch knows no list[str]
 
 import pytest
@@ -345,12 +345,13 @@ def launch_file() -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize("record", ["", "run_bag"])
-def test_the_launch_file_names_nodes_and_parameters_that_exist(record: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def launched(monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[str, Any]]:
+    """Return a function that gives what the launch file starts with some arguments, by name, without launch."""
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
     used = {
-        "launch": ["LaunchContext", "LaunchDescription"],
-        "launch.actions": ["DeclareLaunchArgument", "OpaqueFunction", "Shutdown"],
+        "launch": ["Action", "LaunchContext", "LaunchDescription"],
+        "launch.actions": ["DeclareLaunchArgument", "OpaqueFunction", "SetEnvironmentVariable", "Shutdown"],
         "launch.substitutions": ["LaunchConfiguration"],
         "launch_ros": [],
         "launch_ros.actions": ["Node"],
@@ -361,30 +362,114 @@ def test_the_launch_file_names_nodes_and_parameters_that_exist(record: str, monk
         for each in classes:
             setattr(module, each, type(each, (Recorded,), {}))
         monkeypatch.setitem(sys.modules, name, module)
-
     *arguments, graph = launch_file().generate_launch_description().positional[0]
-    values = {each.positional[0]: each.named["default_value"] for each in arguments}
-    started = {}
-    for node in graph.named["function"]({**values, "record": record}):
-        assert node.named["package"] == "humanpred_ros"
-        (parameters,) = node.named["parameters"]
-        name = node.named["executable"]
-        defaults = {key: field.default for key, field in NODES[name].model_fields.items()}
-        for key, value in parameters.items():
-            if type(value).__name__ == "ParameterValue":  # a launch argument with its type
-                kind = type(defaults[key])
-                assert value.named["value_type"] == (List[str] if kind is tuple else kind)  # noqa: UP006
-                assert value.positional[0].positional[0] in values
-            else:
-                assert type(value) is type(defaults[key])
-        started[name] = parameters
-    assert set(started) == set(NODES) - {"occupancy_replay"} - (set() if record else {"run_recorder"})
-    tracker = started.pop("skeleton_tracker_replay")
-    assert set(tracker["wait_for"].split(",")) == set(started)
+    defaults = {each.positional[0]: each.named["default_value"] for each in arguments}
+
+    def started(**given: str) -> dict[str, Any]:
+        assert given.keys() <= defaults.keys()
+        actions = graph.named["function"]({**defaults, **given})
+        return {each.named.get("executable", type(each).__name__): each for each in actions}
+
+    return started
+
+
+def given_to(node: Any) -> dict[str, Any]:
+    """Return the parameters of a node of the launch file, a launch argument as its text; check names and types."""
+    assert node.named["package"] == "humanpred_ros"
+    if node.named["executable"] not in NODES:
+        return {"managed": True}
+    fields = NODES[node.named["executable"]].model_fields
+    values = {}
+    for name, value in next((each for each in node.named["parameters"] if isinstance(each, dict)), {}).items():
+        values[name] = value
+        if name == "use_sim_time":
+            continue
+        kind = type(fields[name].default)
+        if isinstance(value, Recorded):  # a launch argument with its type
+            assert value.named["value_type"] == (List[str] if kind is tuple else kind)  # noqa: UP006
+            (values[name],) = value.positional
+        else:
+            assert type(value) is kind
+    return values
+
+
+def test_launch_starts_a_demonstration_by_itself(launched: Callable[..., dict[str, Any]]) -> None:
+    arguments = {
+        "record": "run_bag", "trajectory": "3", "scene": "four_places", "library": "a", "model": "m.npz",
+        "predictor": "reaching", "human": "mocap23", "body_id": "x", "places": "['3 0 0 1']", "use_sim_time": "true",
+    }  # fmt: skip
+    for given in ({}, arguments):
+        nodes = launched(**given)
+        told = {name: given_to(node) for name, node in nodes.items()}
+        expected = {"simulated_arm", "stomp_planner", "occupancy_predictor", "skeleton_tracker_replay"}
+        assert set(nodes) == expected | ({"run_recorder"} if given else set())
+        replay = told["skeleton_tracker_replay"]
+        assert set(replay["wait_for"].split(",")) == set(nodes) - {"skeleton_tracker_replay"}
+        listeners = {name: each.get("listener", each.get("controller")) for name, each in told.items()}
+        assert listeners["skeleton_tracker_replay"] == "occupancy_predictor"
+        assert listeners["occupancy_predictor"] == "stomp_planner"
+        assert (told["stomp_planner"]["controller"], listeners["stomp_planner"]) == (
+            "simulated_arm",
+            "skeleton_tracker_replay",
+        )
+        for name, value in given.items():
+            assert value in [each[name] for each in told.values() if name in each] or name in ("record", "use_sim_time")
+    assert told["run_recorder"]["output"] == "run_bag"
+    assert replay["publish_clock"] is True
+    assert {name for name, each in told.items() if each.get("use_sim_time")} == expected - {"skeleton_tracker_replay"}
+
+
+@pytest.mark.parametrize("left_out", ["arm", "tracker", "predictor_node", "planner"])
+def test_launch_leaves_out_what_others_do(left_out: str, launched: Callable[..., dict[str, Any]]) -> None:
+    nodes = launched(**{left_out: "false"})
+    assert len(nodes) == 3
+    waited_for = " ".join(str(value) for node in nodes.values() for value in given_to(node).values())
+    missing = next(
+        iter({"simulated_arm", "stomp_planner", "occupancy_predictor", "skeleton_tracker_replay"} - set(nodes))
+    )
+    assert missing not in waited_for, "nobody waits for a node that is not started"
+
+
+def test_launch_in_operation(launched: Callable[..., dict[str, Any]]) -> None:
+    nodes = launched(
+        demo="false", guard="true", managed="true", record="bag", domain="7", namespace="robot1",
+        params_file="mine.yaml", trajectory_topic="/real/joint_trajectory", joint_states_topic="/joint_states",
+    )  # fmt: skip
+    assert nodes.pop("SetEnvironmentVariable").positional == ("ROS_DOMAIN_ID", "7")
+    demonstration = {"simulated_arm", "stomp_planner", "occupancy_predictor", "skeleton_tracker_replay"}
+    assert set(nodes) == demonstration | {"separation_guard", "run_recorder"}
+    for node in nodes.values():
+        assert given_to(node)["managed"] is True
+        assert node.named["namespace"] == "robot1"
+        assert node.named["parameters"][0] == "mine.yaml", "what is given on the command line comes after it"
+        assert (topics.TRAJECTORY, "/real/joint_trajectory") in node.named["remappings"]
+    assert given_to(nodes["stomp_planner"])["guard"] is True
+    # What ends: the recorder and the replay alone; planner, predictor and guard come back, unless they cannot.
+    policies = {name: (node.named.get("respawn", False), node.named.get("on_exit")) for name, node in nodes.items()}
+    assert policies["run_recorder"] == policies["skeleton_tracker_replay"] == (False, None)
+    assert type(policies["simulated_arm"][1]).__name__ == "Shutdown"
+    for name in ("stomp_planner", "occupancy_predictor", "separation_guard"):
+        respawn, on_exit = policies[name]
+        assert respawn
+        assert on_exit(SimpleNamespace(returncode=-9, process_name=name), None) == []
+        (end,) = on_exit(SimpleNamespace(returncode=2, process_name=name), None)
+        assert name in end.named["reason"]
+    assert type(launched()["skeleton_tracker_replay"].named["on_exit"]).__name__ == "Shutdown"
+    with pytest.raises(RuntimeError, match="launch argument planner: wanted true or false, got maybe"):
+        launched(planner="maybe")
 
 
 def test_launch_accepts_the_launch_file() -> None:
     pytest.importorskip("launch_ros", reason="needs a ROS installation: launch is in no wheel")
+    from launch import LaunchContext
+
     description = launch_file().generate_launch_description()
     names = [argument.name for argument in description.get_launch_arguments()]
-    assert names == ["scene", "library", "trajectory", "model", "predictor", "human", "places", "record"]
+    assert {"scene", "planner", "namespace", "record"} <= set(names)
+    context = LaunchContext()
+    for argument in description.get_launch_arguments():
+        argument.execute(context)
+    nodes = launch_file().graph(context)
+    assert len(nodes) == 4
+    for node in nodes:
+        node._perform_substitutions(context)
