@@ -136,14 +136,21 @@ def put_given(given: dict[str, Any], path: Sequence[str], value: Any) -> None:
     given[path[-1]] = value
 
 
-def parameters_of(given: Given) -> dict[str, Any]:
-    """Return given settings as ROS parameters, NAME.SETTING; none is no value in ROS, and means the default."""
+def parameters_of(given: Given, used: Iterable[str]) -> dict[str, Any]:
+    """Return given settings as ROS parameters of a node, NAME.SETTING; none is no value in ROS, and means the default.
+
+    Args:
+        given: as `given_settings` returns them.
+        used: names of the plug-ins that the node uses; the settings of others are left out.
+    """
+    return _flat({name: given[name] for name in used if name in given})
+
+
+def _flat(given: Mapping[str, Any]) -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for name, values in given.items():
         for key, value in values.items():
-            flat.update(
-                parameters_of({f"{name}.{key}": value}) if isinstance(value, dict) else {f"{name}.{key}": value}
-            )
+            flat.update(_flat({f"{name}.{key}": value}) if isinstance(value, dict) else {f"{name}.{key}": value})
     return {name: value for name, value in flat.items() if value is not None}
 
 

@@ -24,7 +24,7 @@ from rich.markup import escape
 
 from humanpred_ros import __version__, plugins
 from humanpred_ros.errors import LibraryFormatError, UsageError
-from humanpred_ros.evaluation.processes import NodeGroup, NodeProcess, ParameterValue, free_domain_id
+from humanpred_ros.evaluation.processes import NodeGroup, NodeProcess, ParameterValue, chosen_domain_id
 from humanpred_ros.human.model import human_with, name_of_human
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.library_io import load_library
@@ -103,7 +103,9 @@ def run_demo(settings: DemoSettings, console: Console) -> RunSummary:
     motion = library.find(settings.trajectory)
     ReplannerConfig(period_s=period_of(motion, settings.steps))  # said before a node is started
     folder = _new_folder(settings, motion)
-    with NodeGroup(folder / "logs", free_domain_id()) as group:
+    domain_id = chosen_domain_id()
+    console.print(f"ROS domain {domain_id}, this machine only: look on with ROS_DOMAIN_ID={domain_id}")
+    with NodeGroup(folder / "logs", domain_id) as group:
         with _removed_on_failure(folder, group):
             _start(group, settings, given, library, motion, folder, console)
         _follow(group, console)
@@ -150,7 +152,7 @@ def _start(
             "period_s": period_s,
             "seed": settings.seed,
             "cost_terms": list(settings.cost_terms),
-            **parameters_of(given),
+            **parameters_of(given, settings.cost_terms),
             "lossless": settings.stepped,
             "controller": "simulated_arm",
             "listener": _TRACKER,
@@ -169,7 +171,7 @@ def _start(
             "human": name_of_human(motion.dof_names),
             "classifier": settings.classifier,
             "detect_onsets": settings.onsets,
-            **parameters_of(given),
+            **parameters_of(given, (settings.classifier, settings.predictor)),
             "threshold": settings.threshold,
             "lossless": settings.stepped,
             "listener": "stomp_planner",

@@ -26,6 +26,8 @@ _POLL_S = 0.02
 _SETTLE_S = 0.3  # the last messages reach the recorder after their sender has ended
 _PR_SET_PDEATHSIG = 1
 _TAIL_LINES = 8
+#: DDS has UDP ports for no more.
+_LARGEST_DOMAIN = 232
 #: Status of a node that has said in one line why it ended.
 _NAMED_ERROR = 2
 
@@ -192,6 +194,36 @@ class NodeGroup:
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
+
+
+def chosen_domain_id() -> int:
+    """Return the ROS domain id of the environment, or a free one where it names none.
+
+    Raises:
+        UsageError: an id that is none, or of a domain on which nodes of this package are running already.
+    """
+    text = os.environ.get("ROS_DOMAIN_ID", "").strip()
+    if not text:
+        return free_domain_id()
+    if not (text.isascii() and text.isdecimal() and len(text) <= 3 and int(text) <= _LARGEST_DOMAIN):
+        raise UsageError(f"ROS_DOMAIN_ID: wanted a whole number from 0 to {_LARGEST_DOMAIN}, got {text}")
+    looked = subprocess.run(
+        [sys.executable, "-m", "humanpred_ros.nodes.running"],
+        env={**os.environ, "ROS_DOMAIN_ID": text, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if looked.returncode:
+        why = (looked.stderr.strip().splitlines() or ["no reason given"])[-1]
+        raise UsageError(f"ROS_DOMAIN_ID {text}: could not look who is on this domain: {why}")
+    if looked.stdout.strip():
+        raise UsageError(
+            f"ROS_DOMAIN_ID {text}: wanted a domain without nodes of this package, {looked.stdout.strip()} running "
+            "there; end them, set another id, or set none for one that is free"
+        )
+    return int(text)
 
 
 def free_domain_id() -> int:

@@ -74,7 +74,7 @@ def planner_parameters(folder: Path, info: Mapping[str, str]) -> dict[str, Any]:
         told = json_of(info.get("set", "[]"))
         if not isinstance(told, list) or not all(isinstance(word, str) for word in told):
             raise ValueError("wanted a list of texts in `set`")
-        given = parameters_of(given_settings(told))
+        given = parameters_of(given_settings(told), terms)
         config = ReplannerConfig(period_s=float(info["period_s"]), seed=int(info["seed"]), cost_terms=terms)
     except (KeyError, ValueError, OverflowError, HumanPredError) as trouble:
         raise BagError(

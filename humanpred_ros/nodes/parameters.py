@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from difflib import get_close_matches
+from itertools import pairwise
+from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
@@ -14,6 +16,7 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 
 from humanpred_ros.errors import SettingsError, UsageError
+from humanpred_ros.files import read_yaml
 from humanpred_ros.plugins import CLASSIFIERS, COST_TERMS, PREDICTORS, names, put_given
 from humanpred_ros.resources import share_file
 from humanpred_ros.settings import Settings, facts_of, spelled
@@ -33,6 +36,8 @@ RESTART = "cannot change at run time: start the node anew with it"
 RECONFIGURE = f"{RESTART}, or clean the node up, set it, and configure it again"
 #: Declared by rclpy itself, some only once a publisher or subscription asks for them.
 _RCLPY_PREFIXES = ("qos_overrides.",)
+#: A node that uses plug-ins has the parameter that names them.
+_PLUGIN_FIELDS = {CLASSIFIERS: "classifier", PREDICTORS: "predictor", COST_TERMS: "cost_terms"}
 
 
 def declare(node: Node, settings_type: type[T]) -> T:
@@ -41,8 +46,8 @@ def declare(node: Node, settings_type: type[T]) -> T:
     A parameter that cannot change at run time says so as its additional constraint.
 
     Raises:
-        UsageError: a parameter of the wrong type, with a value that cannot be used, or of a name that no node of this
-            package has (ROS itself would ignore it).
+        UsageError: a parameter of the wrong type, with a value that cannot be used, or of a name that this node does
+            not have (ROS itself would ignore it).
     """
     _refuse_unknown(node, settings_type, list(node._parameter_overrides))
     values = {name: declare_setting(node, name, field) for name, field in settings_type.model_fields.items()}
@@ -128,24 +133,61 @@ def _remedy(name: str, default: Any, value: Any) -> str:
 
 
 def _refuse_unknown(node: Node, settings_type: type[Settings], given: list[str]) -> None:
-    """Refuse misspelt parameters.
+    """Refuse misspelt parameters, and those that only other nodes have.
 
-    Names of this package's other nodes pass: a parameter file for /** or a launch file's SetParameter
-    gives every node the same ones.
+    Those of other nodes pass where a parameter file gives them to every node, in a section with a wildcard as /**.
     """
     own = list(settings_type.model_fields)
-    plugins = {name for group in (CLASSIFIERS, PREDICTORS, COST_TERMS) for name in names(group)}
+    plugins = {name: field for group, field in _PLUGIN_FIELDS.items() for name in names(group)}
+    unknown = []
     for name in given:
-        if name in own or node.has_parameter(name) or name.startswith(_RCLPY_PREFIXES) or name in _names_of_all_nodes():
-            continue
-        if name.partition(".")[0] in plugins:  # of a node that uses the plug-in, which checks it
+        # Of plug-ins that the node uses they are checked by those.
+        known = name in own or plugins.get(name.partition(".")[0]) in own
+        if not (known or node.has_parameter(name) or name.startswith(_RCLPY_PREFIXES)):
+            unknown.append(name)
+    if not unknown:
+        return
+    owners = parameters_of_nodes()
+    for_all = _given_to_all(sys.argv)
+    for name in unknown:
+        head = name.partition(".")[0]
+        having = [other for other, all_of_it in owners.items() if name in all_of_it or plugins.get(head) in all_of_it]
+        if having and name in for_all:
             continue
         close = get_close_matches(name, own, n=1)
-        advice = f"did you mean {close[0]}?" if close else f"it has {', '.join(own)}"
+        if having:
+            advice = (
+                f"{', '.join(having)} has: -p {having[0]}:{name}:=VALUE, or a file with a section for it or for /**"
+            )
+        else:
+            advice = f"did you mean {close[0]}?" if close else f"it has {', '.join(own)}"
         raise UsageError(f"parameter {name}: {node.get_name()} has none of that name; {advice}")
 
 
-def _names_of_all_nodes() -> set[str]:
-    """Return the parameters in config/nodes.yaml; importing every node to ask it would take seconds."""
+def parameters_of_nodes() -> dict[str, set[str]]:
+    """Return each node's parameters as in config/nodes.yaml; importing every node to ask it would take seconds."""
     nodes = yaml.safe_load(share_file("config", "nodes.yaml").read_text(encoding="utf-8"))
-    return {name for node in nodes.values() for name in node["ros__parameters"]}
+    return {node: set(content["ros__parameters"]) for node, content in nodes.items()}
+
+
+def _given_to_all(arguments: list[str]) -> set[str]:
+    """Return the parameters that the parameter files on a command line give to nodes by wildcards."""
+    found: set[str] = set()
+
+    def look(content: Any, path: str) -> None:
+        for key, value in content.items() if isinstance(content, dict) else ():
+            if key == "ros__parameters":
+                found.update(_flat(value) if "*" in path else ())
+            else:
+                look(value, f"{path}/{key}")
+
+    for flag, file in pairwise(arguments):
+        if flag == "--params-file":
+            look(read_yaml(Path(file), UsageError), "")
+    return found
+
+
+def _flat(content: Any, prefix: str = "") -> Iterator[str]:
+    """Yield the names of parameters, which may be nested."""
+    for key, value in content.items() if isinstance(content, dict) else ():
+        yield from _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else (f"{prefix}{key}",)
