@@ -22,6 +22,7 @@ NODES = [
     "occupancy_predictor",
     "stomp_planner",
     "simulated_arm",
+    "separation_guard",
     "run_recorder",
     "occupancy_replay",
 ]

@@ -23,6 +23,9 @@ ROLLOUTS = "stomp_planner/rollouts"
 #: What the separation guard says: whole percents of speed, and why the arm stands.
 SPEED_FACTOR = "speed_ovr"
 GUARD_STOP = "separation_guard/stop"
+GUARD_MARKERS = "separation_guard/markers"
+#: On which a tracker says, again and again, that it sees nobody.
+NOBODY = "humans/bodies/nobody"
 DIAGNOSTICS = "/diagnostics"
 CLOCK = "/clock"
 

@@ -96,6 +96,17 @@ def rollout_markers(rollouts: Sequence[tuple[str, Sequence[FloatArray]]], stamp:
     return array
 
 
+def separation_markers(body_m: FloatArray, arm_m: FloatArray, text: str, factor: float, stamp: Time) -> MarkerArray:
+    """Return the line between the two points (3,) that decide, world frame, and what is said of it; red at a stop."""
+    colour = ColorRGBA(r=1.0 - factor, g=factor, b=0.1, a=1.0)
+    line = _marker(Marker.LINE_LIST, "separation", "world", stamp, 0.01, colour)
+    line.points = _points(np.array([body_m, arm_m]))
+    words = _marker(Marker.TEXT_VIEW_FACING, "separation/terms", "world", stamp, 0.0, colour)
+    words.scale.z, words.text = 0.05, text
+    (words.pose.position,) = _points(0.5 * (body_m + arm_m)[None] + np.array([0.0, 0.0, 0.1]))
+    return MarkerArray(markers=[line, words])
+
+
 class PlanPictures:
     """Shows the paths a planner compares, while somebody looks.
 

@@ -12,6 +12,7 @@ from humanpred_ros import topics
 from humanpred_ros.errors import UsageError
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
+from humanpred_ros.nodes.guard_listener import GuardListener
 from humanpred_ros.nodes.lifecycle import NodeSettings
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.nodes.trajectory_action import TrajectoryActionServer
@@ -19,6 +20,8 @@ from humanpred_ros.nodes.trajectory_controller import ControllerSettings, Trajec
 from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
 from humanpred_ros.robot.scene_file import read_scene_file
 from humanpred_ros.settings import setting
+
+_GUARD_PERIOD_S = 0.02
 
 
 class SimulatedArmSettings(ControllerSettings, NodeSettings):
@@ -32,13 +35,17 @@ class SimulatedArmSettings(ControllerSettings, NodeSettings):
     speed_factor: float = setting(
         1.0, "speed of the trajectory's time; 0 is a pause", low=0.0, high=1.0, changeable=True
     )
+    guard: bool = setting(
+        False, "there must be a separation guard: the arm stands until it is heard; one that was heard once must stay"
+    )
     stuck: bool = setting(False, "the arm does not move, as in an emergency stop", changeable=True)
 
 
 class SimulatedArm(GraphNode):
     """Starts at the scene's start configuration and does what a stock controller does with what it is sent.
 
-    It is commanded by topic, and by the action FollowJointTrajectory where control_msgs is installed.
+    It is commanded by topic, and by the action FollowJointTrajectory where control_msgs is installed. It obeys a
+    separation guard, whose silence is a stop once it was heard, and the controller's own topic for a speed factor.
     """
 
     def __init__(self) -> None:
@@ -52,7 +59,9 @@ class SimulatedArm(GraphNode):
             settings.velocity_limit,
             settings.part(ControllerSettings),
         )
-        self.controller.speed_factor, self.controller.stuck = settings.speed_factor, settings.stuck
+        self.controller.stuck = settings.stuck
+        #: Factors of the trajectory's time by whom they are from.
+        self.factors = {"speed_factor": settings.speed_factor}
 
     def activate(self) -> None:
         rate_hz = self.settings.rate_hz
@@ -65,6 +74,11 @@ class SimulatedArm(GraphNode):
             self.action = TrajectoryActionServer(self, self.controller)
         except UsageError as missing:
             self.get_logger().debug(str(missing))
+        self.guard = GuardListener(self, self.settings.guard, self.on_guard)
+        self.on_guard(self.guard.factor, self.guard.reason)
+        steady = self._status_timer.clock
+        self.create_timer(_GUARD_PERIOD_S, self.guard.look, clock=steady)
+        self._listen_to_scaling()
         self.publisher = self.create_publisher(JointState, topics.JOINT_STATES, qos.SENSOR_PUBLISHER)
         self.period_ns = round(conversions.NS_PER_S / rate_hz)
         self.last_ns = -self.period_ns
@@ -74,7 +88,7 @@ class SimulatedArm(GraphNode):
         else:
             self.create_timer(1.0 / rate_hz, self.publish_now)
         # Before /clock ticks (it may wait for us), the start configuration must already be known.
-        self.startup_timer = self.create_timer(0.1, self.publish_start, clock=self._status_timer.clock)
+        self.startup_timer = self.create_timer(0.1, self.publish_start, clock=steady)
 
     def deactivate(self) -> None:
         """Rest where the arm is."""
@@ -86,9 +100,41 @@ class SimulatedArm(GraphNode):
     def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         """Slow down, pause or hold the arm at run time."""
         for parameter in parameters:
-            if parameter.name in ("speed_factor", "stuck"):
-                setattr(self.controller, parameter.name, parameter.value)
+            if parameter.name == "speed_factor":
+                self._let(parameter.name, parameter.value)
+            elif parameter.name == "stuck":
+                self.controller.stuck = parameter.value
         return SetParametersResult(successful=True)
+
+    def holding_because(self) -> str:
+        return self.guard.reason
+
+    def on_guard(self, factor: float, reason: str) -> None:
+        """Do what the guard says."""
+        self.tell(factor == 0.0, f"stands: {reason}" if factor == 0.0 else "may move, says the guard")
+        self._let("guard", factor)
+
+    def _listen_to_scaling(self) -> None:
+        """Listen to the topic of the controller of that name for a factor, where its messages are installed."""
+        try:
+            from control_msgs.msg import SpeedScalingFactor
+        except ImportError:
+            return
+
+        def on_scaling(message: SpeedScalingFactor) -> None:
+            if 0.0 <= message.factor <= 1.0:
+                self._let("controller", message.factor)
+            else:
+                self.refuse(f"speed scaling: wanted a factor from 0 to 1, got {message.factor:g}")
+
+        self.listen(SpeedScalingFactor, f"{self.hardware_id}/speed_scaling_input", on_scaling, qos.LATCHED)
+
+    def _let(self, whose: str, factor: float) -> None:
+        """Let the trajectory's time run at the least of the factors, from now on."""
+        self.factors[whose] = factor
+        if not self.get_parameter("use_sim_time").value:
+            self.controller.update(self.get_clock().now().nanoseconds)
+        self.controller.speed_factor = min(self.factors.values())
 
     def on_trajectory(self, message: JointTrajectory) -> None:
         """Take a trajectory a controller would accept; refuse any other and stay with the old one."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,8 +20,10 @@ from numpy.typing import ArrayLike
 from humanpred_ros.geometry.chain import inverse_pose
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.planning.problem import Arm
 from humanpred_ros.settings import Settings, setting
+
+if TYPE_CHECKING:  # whoever watches needs no planner
+    from humanpred_ros.planning.problem import Arm
 
 #: Speeds are differences of distances over this time, s.
 _STEP_S = 1e-3
