@@ -49,6 +49,7 @@ def test_a_node_that_passes_messages_on_is_light(
     ("module", "unwanted"),
     [
         ("stomp_planner", {"scipy.interpolate", "scipy.optimize", "scipy.spatial", "sklearn", "pinocchio"}),
+        ("separation_guard", {"humanpred_ros.stomp", "humanpred_ros.planning.replanner", "sklearn", "pinocchio"}),
         ("occupancy_predictor", {"humanpred_ros.reaching.reaching_predictor", "scipy.linalg", "sklearn", "pinocchio"}),
     ],
 )
