@@ -46,6 +46,7 @@ class CommandingNode(GraphNode):
 
     def activate(self) -> None:
         settings, replanner = self.settings, self.replanner
+        replanner.forget()
         self.arm = MeasuredArm(replanner.joint_names, settings.part(FollowingSettings), replanner.arm.difference)
         self.begun = self.holding = self.told_hold = False
         self.lost_s = 0.0

@@ -125,7 +125,7 @@ class ManagedNode(LifecycleNode):
             self.trigger_deactivate()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._own = self._own or set(vars(self))
+        self._own, self._kept = self._own or set(vars(self)), set(self._entities())
         return self._do(self.configure, self._forget)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:

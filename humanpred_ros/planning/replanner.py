@@ -129,6 +129,10 @@ class Replanner:
         state.pace = state.pace.changed(t_s, self.factor)
         self._state = state
 
+    def forget(self) -> None:
+        """Be as before `start`; what was set meanwhile is kept."""
+        self._state = None
+
     def set_noise(self, noise_std: ArrayLike) -> None:
         """Let the steps to come use this noise, as in `StompConfig`: one number, or one for each joint.
 
