@@ -29,7 +29,9 @@ _WATCH_PERIOD_S = 0.1
 #: A controller answers a goal within milliseconds; one that has not after so many looks has not got it.
 _LOOKS = 20
 #: Others who command the arm are looked for so long before the first command, and after it every so often, s.
-_LOOK_AROUND_S, _LOOK_PERIOD_S = 2.0, 0.4
+_LOOK_AROUND_S, _LOOK_PERIOD_S = 4.0, 0.4
+#: For so long after the first command those who are heard of may have been there before, s.
+_LATE_S = 2.0
 #: The result's error codes, in words.
 _ERRORS = {
     0: "no error",
@@ -180,21 +182,22 @@ def commander(node: GraphNode, by: str, controller: str, failed: Callable[[str],
 class OtherCommanders:
     """Finds other nodes that command the same controller, by topic or by action.
 
-    Nodes hear of each other within milliseconds, on a busy machine within seconds: a node that looks too early believes
-    itself alone.
+    Nodes hear of each other within milliseconds, or, where an announcement gets lost, with the next one 3 s later: a
+    node that looks too early believes itself alone.
     """
 
     def __init__(self, node: Node) -> None:
         """Take the node that is to be the only one."""
-        self._node, self._since_s, self._looked_s = node, time.monotonic(), -math.inf
+        self._node, self._looked_s = node, -math.inf
+        self._there_s, self._began_s = time.monotonic(), -math.inf
 
     def looking(self) -> bool:
         """Return whether the others may not have been heard of yet."""
-        return time.monotonic() - self._since_s < _LOOK_AROUND_S
+        return time.monotonic() - self._there_s < _LOOK_AROUND_S
 
     def begin(self) -> None:
         """Take note that the node begins to command."""
-        self._since_s = time.monotonic()
+        self._began_s = time.monotonic()
 
     def late(self) -> str:
         """Return the names of those who were heard of just after this node began; older ones would have been before.
@@ -202,7 +205,7 @@ class OtherCommanders:
         Somebody who is heard of later has come later, and it is for them to refuse.
         """
         now_s = time.monotonic()
-        if not self.looking() or now_s - self._looked_s < _LOOK_PERIOD_S:
+        if now_s - self._began_s > _LATE_S or now_s - self._looked_s < _LOOK_PERIOD_S:
             return ""
         self._looked_s = now_s
         return self.names()
