@@ -28,7 +28,7 @@ PARTS = {
     "tracker": ("true", "start skeleton_tracker_replay; false: there is a body tracker"),
     "predictor_node": ("true", "start occupancy_predictor; false: somebody else publishes the occupancy"),
     "planner": ("true", "start stomp_planner"),
-    "guard": ("false", "start separation_guard; the planner then moves the arm only while it hears it"),
+    "guard": ("false", "start separation_guard; planner and simulated arm then move only while they hear it"),
 }
 #: What the nodes are told; one left empty is as the parameter file says, else the node's default.
 TOLD = {
@@ -111,16 +111,16 @@ class Graph:
         clock = {"use_sim_time": True} if self.on("use_sim_time") else {}
         arm, tracker, guard = self.on("arm"), self.on("tracker"), self.on("guard")
         predictor, planner = self.on("predictor_node"), self.on("planner")
+        watched = {"guard": True} if guard else {}
         nodes = {}
         if arm:
-            nodes["simulated_arm"] = self.node("simulated_arm", "scene", "all", **clock)
+            nodes["simulated_arm"] = self.node("simulated_arm", "scene", "all", **watched, **clock)
         if guard:
             nodes["separation_guard"] = self.node("separation_guard", "scene human", "again", **clock)
         if planner:
             own: dict[str, Any] = {"controller": "simulated_arm"} if arm else {}
             own |= {"listener": "skeleton_tracker_replay"} if tracker else {}
-            own |= {"guard": True} if guard else {}
-            nodes["stomp_planner"] = self.node("stomp_planner", "scene", "again", **own, **clock)
+            nodes["stomp_planner"] = self.node("stomp_planner", "scene", "again", **own, **watched, **clock)
         if predictor:
             own = {"listener": "stomp_planner"} if planner else {}
             if self.value["places"]:

@@ -376,8 +376,6 @@ def launched(monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[str, Any]]:
 def given_to(node: Any) -> dict[str, Any]:
     """Return the parameters of a node of the launch file, a launch argument as its text; check names and types."""
     assert node.named["package"] == "humanpred_ros"
-    if node.named["executable"] not in NODES:
-        return {"managed": True}
     fields = NODES[node.named["executable"]].model_fields
     values = {}
     for name, value in next((each for each in node.named["parameters"] if isinstance(each, dict)), {}).items():
@@ -443,7 +441,7 @@ def test_launch_in_operation(launched: Callable[..., dict[str, Any]]) -> None:
         assert node.named["namespace"] == "robot1"
         assert node.named["parameters"][0] == "mine.yaml", "what is given on the command line comes after it"
         assert (topics.TRAJECTORY, "/real/joint_trajectory") in node.named["remappings"]
-    assert given_to(nodes["stomp_planner"])["guard"] is True
+    assert given_to(nodes["stomp_planner"])["guard"] is given_to(nodes["simulated_arm"])["guard"] is True
     # What ends: the recorder and the replay alone; planner, predictor and guard come back, unless they cannot.
     policies = {name: (node.named.get("respawn", False), node.named.get("on_exit")) for name, node in nodes.items()}
     assert policies["run_recorder"] == policies["skeleton_tracker_replay"] == (False, None)
