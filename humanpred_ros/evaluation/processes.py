@@ -28,6 +28,8 @@ _PR_SET_PDEATHSIG = 1
 _TAIL_LINES = 8
 #: DDS has UDP ports for no more.
 _LARGEST_DOMAIN = 232
+#: Of a domain that are looked for; the first to come get the first ports.
+_PARTICIPANTS = 20
 #: Status of a node that has said in one line why it ended.
 _NAMED_ERROR = 2
 
@@ -207,6 +209,8 @@ def chosen_domain_id() -> int:
         return free_domain_id()
     if not (text.isascii() and text.isdecimal() and len(text) <= 3 and int(text) <= _LARGEST_DOMAIN):
         raise UsageError(f"ROS_DOMAIN_ID: wanted a whole number from 0 to {_LARGEST_DOMAIN}, got {text}")
+    if not _in_use(int(text), _PARTICIPANTS):
+        return int(text)
     looked = subprocess.run(
         [sys.executable, "-m", "humanpred_ros.nodes.running"],
         env={**os.environ, "ROS_DOMAIN_ID": text, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
@@ -227,21 +231,30 @@ def chosen_domain_id() -> int:
 
 
 def free_domain_id() -> int:
-    """Return a ROS domain id whose discovery port no process of this machine is using.
+    """Return a ROS domain id whose first discovery port no process of this machine is using.
 
-    DDS gives each domain UDP ports from 7400 + 250 * id (RTPS 9.6.1.1); ids up to 101 stay clear of the
-    ephemeral ports. The choice starts at a place that depends on the process id, so that two runs started
-    together differ.
+    Ids up to 101 stay clear of the ephemeral ports. The choice starts at a place that depends on the process id, so
+    that two runs started together differ.
     """
     for step in range(100):
-        domain = 1 + (os.getpid() + step) % 101
+        domain_id = 1 + (os.getpid() + step) % 101
+        if not _in_use(domain_id, 1):
+            return domain_id
+    raise UsageError("no free ROS domain id from 1 to 101 on this machine; end other ROS programs first")
+
+
+def _in_use(domain_id: int, participants: int) -> bool:
+    """Return whether one of the first participants of a domain is a process of this machine.
+
+    DDS gives each domain UDP ports from 7400 + 250 * id, and each participant two of them (RTPS 9.6.1.1).
+    """
+    for port in range(7410 + 250 * domain_id, 7410 + 250 * domain_id + 2 * participants, 2):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
-                probe.bind(("127.0.0.1", 7400 + 250 * domain + 10))
-            except OSError:
-                continue
-            return domain
-    raise UsageError("no free ROS domain id from 1 to 101 on this machine; end other ROS programs first")
+                probe.bind(("127.0.0.1", port))
+            except (OSError, OverflowError):
+                return True
+    return False
 
 
 def _prepare_child() -> None:

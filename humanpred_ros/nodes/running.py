@@ -10,8 +10,8 @@ from rclpy.node import Node
 from humanpred_ros.nodes.base import name_of
 from humanpred_ros.nodes.parameters import parameters_of_nodes
 
-#: Most nodes are heard of at once; where the first words of discovery got lost, its next are said 3 s later.
-_LOOK_AROUND_S, _POLL_S = 4.0, 0.05
+#: Most nodes are heard of at once, some after seconds: discovery repeats itself every 3 s where its words got lost.
+_LOOK_AROUND_S, _POLL_S = 10.0, 0.05
 
 
 def running(node: Node) -> list[str]:
