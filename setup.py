@@ -25,6 +25,7 @@ NODES = [
     "separation_guard",
     "run_recorder",
     "occupancy_replay",
+    "predict_and_plan",
 ]
 
 setup(

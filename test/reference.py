@@ -29,8 +29,9 @@ def node_settings() -> dict[str, type[Settings]]:
     found = {}
     for info in pkgutil.iter_modules(nodes.__path__):
         module = importlib.import_module(f"{nodes.__name__}.{info.name}")
-        if hasattr(module, "main"):
-            found[info.name] = getattr(module, f"{info.name.title().replace('_', '')}Settings")
+        settings = getattr(module, f"{info.name.title().replace('_', '')}Settings", None)
+        if hasattr(module, "main") and settings is not None:  # an executable of several nodes has none of its own
+            found[info.name] = settings
     return found
 
 

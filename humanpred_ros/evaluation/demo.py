@@ -24,7 +24,14 @@ from rich.markup import escape
 
 from humanpred_ros import __version__, plugins
 from humanpred_ros.errors import LibraryFormatError, UsageError
-from humanpred_ros.evaluation.processes import NodeGroup, NodeProcess, ParameterValue, chosen_domain_id
+from humanpred_ros.evaluation.processes import (
+    ONE_PROCESS,
+    NodeGroup,
+    NodeProcess,
+    ParameterValue,
+    chosen_domain_id,
+    in_one_process,
+)
 from humanpred_ros.human.model import human_with, name_of_human
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.library_io import load_library
@@ -65,6 +72,7 @@ class DemoSettings(Settings):
     hold_last_s: float = setting(
         6.0, "the last posture is repeated this long, for the arm to finish", unit="s", low=0.0, high=600.0
     )
+    one_process: bool = setting(False, "run predictor and planner in one process; they decide the same")
     markers: bool = setting(False, "record markers too, for viewers; costs the nodes time")
     real_time: float | None = setting(
         None,
@@ -145,38 +153,38 @@ def _start(
     # With /clock published, stamps are simulated time; otherwise they are wall time, as on a real robot.
     common: dict[str, ParameterValue] = {"use_sim_time": settings.real_time != 1.0, "scene": settings.scene}
     period_s = period_of(motion, settings.steps)
-    group.start(
-        "stomp_planner",
-        {
-            **common,
-            "period_s": period_s,
-            "seed": settings.seed,
-            "cost_terms": list(settings.cost_terms),
-            **parameters_of(given, settings.cost_terms),
-            "lossless": settings.stepped,
-            "controller": "simulated_arm",
-            "listener": _TRACKER,
-        },
-    )
+    planner: dict[str, ParameterValue] = {
+        **common,
+        "period_s": period_s,
+        "seed": settings.seed,
+        "cost_terms": list(settings.cost_terms),
+        **parameters_of(given, settings.cost_terms),
+        "lossless": settings.stepped,
+        "controller": "simulated_arm",
+        "listener": _TRACKER,
+    }
+    if not settings.one_process:
+        group.start("stomp_planner", planner)
     group.start("simulated_arm", common)
     if settings.scene not in scene_names():
         shutil.copyfile(settings.scene, folder / RECORDED_SCENE)
     model = _model(settings, given, library, motion, folder / "model.npz", console)
-    group.start(
-        "occupancy_predictor",
-        {
-            **common,
-            "model": str(model.resolve()),
-            "predictor": settings.predictor,
-            "human": name_of_human(motion.dof_names),
-            "classifier": settings.classifier,
-            "detect_onsets": settings.onsets,
-            **parameters_of(given, (settings.classifier, settings.predictor)),
-            "threshold": settings.threshold,
-            "lossless": settings.stepped,
-            "listener": "stomp_planner",
-        },
-    )
+    predictor: dict[str, ParameterValue] = {
+        **common,
+        "model": str(model.resolve()),
+        "predictor": settings.predictor,
+        "human": name_of_human(motion.dof_names),
+        "classifier": settings.classifier,
+        "detect_onsets": settings.onsets,
+        **parameters_of(given, (settings.classifier, settings.predictor)),
+        "threshold": settings.threshold,
+        "lossless": settings.stepped,
+        "listener": "stomp_planner",
+    }
+    if settings.one_process:
+        group.start(ONE_PROCESS, in_one_process(planner, predictor))
+    else:
+        group.start("occupancy_predictor", predictor)
     replayed = MotionLibrary(f"motion_{motion.name.replace('/', '_')}", (motion,), library.provenance)
     group.start(
         _TRACKER,
@@ -284,7 +292,7 @@ def _new_folder(settings: DemoSettings, motion: Motion) -> Path:
 def _follow(group: NodeGroup, console: Console) -> None:
     """Show the planner's decisions as they come until the tracker has replayed everything."""
     nodes = {node.name: node for node in group.nodes}
-    lines = _new_lines(nodes["stomp_planner"])
+    lines = _new_lines(nodes.get(ONE_PROCESS) or nodes["stomp_planner"])
     # The report's libraries take a second to import; while the arm works there is time.
     importing = threading.Thread(target=import_module, args=("humanpred_ros.viewing.report",), daemon=True)
 

@@ -26,6 +26,8 @@ _POLL_S = 0.02
 _SETTLE_S = 0.3  # the last messages reach the recorder after their sender has ended
 _PR_SET_PDEATHSIG = 1
 _TAIL_LINES = 8
+#: Executable that is predictor and planner.
+ONE_PROCESS = "predict_and_plan"
 #: DDS has UDP ports for no more.
 _LARGEST_DOMAIN = 232
 #: Of a domain that are looked for; the first to come get the first ports.
@@ -196,6 +198,17 @@ class NodeGroup:
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
+
+
+def in_one_process(
+    planner: Mapping[str, ParameterValue], predictor: Mapping[str, ParameterValue]
+) -> dict[str, ParameterValue]:
+    """Return the parameters of `predict_and_plan` that give its two nodes theirs."""
+    return {
+        f"{node}:{name}": value
+        for node, parameters in (("stomp_planner", planner), ("occupancy_predictor", predictor))
+        for name, value in parameters.items()
+    }
 
 
 def chosen_domain_id() -> int:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, cast
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -28,6 +29,7 @@ from rclpy.validate_namespace import validate_namespace
 from humanpred_ros import topics
 from humanpred_ros.errors import HumanPredError, UsageError, one_line
 from humanpred_ros.nodes import qos
+from humanpred_ros.nodes.in_process import HANDED_OVER, Link, LinkedPublisher
 from humanpred_ros.nodes.inputs import Change, Input, Refusals
 from humanpred_ros.nodes.lifecycle import ManagedNode
 
@@ -54,6 +56,9 @@ class GraphNode(ManagedNode):
         warnings: that stand, by what they are about.
         hardware_id: what the status is about, for those who group by it; the node itself unless set.
     """
+
+    #: What is handed over in memory within the process, by full names of topics; None: nothing.
+    links: dict[str, Link] | None = None
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
@@ -99,10 +104,21 @@ class GraphNode(ManagedNode):
                 # The middleware's time of receipt: a message may have waited for the node.
                 heard.handled(came_s, max(time.time_ns() - info["received_timestamp"], 0) * 1e-9)
 
+        if topic in HANDED_OVER and self.links is not None:
+            link = self.links.setdefault(name, Link())
+            link.listen(self, on_message, profile)
+            heard.publishers = link.get_publisher_count
+            return cast(Subscription, link)
         # rclpy's annotation leaves out that a callback may take the times of a message, too.
         subscription = self.create_subscription(kind, topic, on_message, profile, raw=raw)  # type: ignore[arg-type]
         heard.publishers = subscription.get_publisher_count
         return subscription
+
+    def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any, **others: Any) -> Any:
+        publisher = super().create_publisher(msg_type, topic, qos_profile, **others)
+        if topic in HANDED_OVER and self.links is not None:
+            return LinkedPublisher(publisher, self, self.links.setdefault(publisher.topic_name, Link()))
+        return publisher
 
     def waiting_for(self) -> str:
         """Return what the node still waits for, or an empty string when it is ready."""
@@ -131,11 +147,14 @@ class GraphNode(ManagedNode):
         names, if any, must be among them: a recorder alone does not make a graph.
         """
         known = self.get_subscriptions_info_by_topic(publisher.topic_name)
-        there = {name_of(info.node_namespace, info.node_name) for info in known}
+        there = [name_of(info.node_namespace, info.node_name) for info in known]
+        linked = publisher.link.listening() if isinstance(publisher, LinkedPublisher) else None
+        if linked is not None:
+            there.append(name_of(linked.get_namespace(), linked.get_name()))
         missing = [name for name in self.peers(listener) if name not in there]
         if missing:
             return f"{', '.join(missing)} to subscribe to {publisher.topic_name}"
-        if publisher.get_subscription_count() < max(1, len(known)):
+        if publisher.get_subscription_count() < max(1, len(there)):
             return f"a match with the subscribers of {publisher.topic_name}"
         return ""
 
@@ -234,13 +253,13 @@ class _Signals:
 
     def __init__(self) -> None:
         self.came = False
-        self.node: GraphNode | None = None
+        self.nodes: list[GraphNode] = []
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self.came = True
-        if self.node is None or not self.node.connected:  # loading, training, compiling: nothing to save yet
+        if not any(node.connected for node in self.nodes):  # loading, training, compiling: nothing to save yet
             raise KeyboardInterrupt
 
 
@@ -250,18 +269,41 @@ def run_node(make_node: Callable[[], GraphNode], arguments: list[str] | None = N
     Status 0 after a signal or a finished job, 2 with one line on stderr for a HumanPredError and for
     arguments that cannot be used.
     """
-    node: GraphNode | None = None
+    return run_nodes(lambda: [make_node()], arguments)
+
+
+def run_nodes(make_nodes: Callable[[], list[GraphNode]], arguments: list[str] | None = None) -> int:
+    """Spin several nodes as `run_node` does one, each in a thread of its own, until one of them ends."""
+    nodes: list[GraphNode] = []
+    threads: list[threading.Thread] = []
     failure: Exception | None = None
     signals = _Signals()
+
+    def spin(node: GraphNode) -> None:
+        try:
+            executor = SingleThreadedExecutor()
+            executor.add_node(node)
+            while rclpy.ok() and not signals.came:
+                _spin_once(executor, node)
+        except ExternalShutdownException:
+            pass
+        except Exception as error:
+            if node is nodes[0]:
+                raise
+            node.failure = error
+            rclpy.try_shutdown()
+
     try:
         _initialise(sys.argv if arguments is None else arguments)
-        node = signals.node = make_node()
-        if not node.managed:
-            node.start()
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        while rclpy.ok() and not signals.came:
-            _spin_once(executor, node)
+        nodes = signals.nodes = make_nodes()
+        # The others first: whoever is started before its peers would wait for them.
+        for node in reversed(nodes):
+            if not node.managed:
+                node.start()
+        threads = [threading.Thread(target=spin, args=(node,), daemon=True) for node in nodes[1:]]
+        for thread in threads:
+            thread.start()
+        spin(nodes[0])
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except HumanPredError as error:
@@ -271,12 +313,16 @@ def run_node(make_node: Callable[[], GraphNode], arguments: list[str] | None = N
     finally:
         # A second Ctrl-C must not interrupt what close() saves.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        if node is not None:
+        signals.came = True
+        for k, node in enumerate(nodes):
+            for thread in threads[k - 1 : k] if k else ():
+                thread.join()
             failure = failure or node.failure
             try:
                 node.close()
             except HumanPredError as error:
                 failure = failure or error
+        for node in nodes:
             node.destroy_node()
         rclpy.try_shutdown()
     if failure is not None:

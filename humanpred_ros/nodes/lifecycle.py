@@ -182,7 +182,9 @@ class ManagedNode(LifecycleNode):
             self.get_logger().error("".join(traceback.format_exception(error)))
 
     def _entities(self) -> chain[Any]:
-        return chain(self.publishers, self.subscriptions, self.timers, self.clients, self.services, self.waitables)
+        return chain(
+            self.publishers, self.subscriptions, self.timers, self.clients, self.services, self.guards, self.waitables
+        )
 
     def disconnect(self) -> None:
         """Destroy what an active node has made."""
@@ -194,6 +196,7 @@ class ManagedNode(LifecycleNode):
             (self.timers, self.destroy_timer),
             (self.clients, self.destroy_client),
             (self.services, self.destroy_service),
+            (self.guards, self.destroy_guard_condition),
         )
         for entities, destroy in made:
             for entity in set(entities) - self._kept:

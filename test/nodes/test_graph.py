@@ -218,6 +218,20 @@ def test_a_fresh_planner_fed_the_recorded_occupancy_decides_the_same(run: Path, 
     assert comparison.differing == ()
 
 
+@pytest.mark.core
+def test_predictor_and_planner_in_one_process_decide_the_same(run: Path, bag: BagReader, tmp_path: Path) -> None:
+    folder = tmp_path / "one"
+    run_demo(
+        OPTIONS.replaced(out=str(folder), model=str(run / "model.npz"), one_process=True), Console(file=io.StringIO())
+    )
+    one = BagReader(folder / "bag")
+    assert compare_bags(bag, one).differing == ()
+    # Everybody else gets the same as from two processes.
+    for topic in (topics.OCCUPANCY, topics.HUMAN_GOALS):
+        ours, theirs = ([bytes(m.data) for m in by_stamp(b, topic).values()] for b in (bag, one))
+        assert ours == theirs
+
+
 def test_a_comparison_finds_what_differs(run: Path, bag: BagReader, tmp_path: Path) -> None:
     other = DemoSettings(
         **{**OPTIONS.__dict__, "out": str(tmp_path / "other"), "seed": 4, "model": str(run / "model.npz")}
