@@ -17,6 +17,8 @@ OCCUPANCY_MARKERS = "human_occupancy/markers"
 HUMAN_GOALS = "human_goals"
 JOINT_STATES = "joint_states"
 TRAJECTORY = "r_arm_controller/joint_trajectory"
+#: In front of the planner's own topics and services.
+PLANNER = "stomp_planner"
 DECISION = "stomp_planner/decision"
 CANDIDATES = "stomp_planner/candidates"
 ROLLOUTS = "stomp_planner/rollouts"

@@ -118,14 +118,18 @@ class NodeClient:
 
     def set_parameter(self, name: str, value: ParameterValue, node: str = "") -> tuple[bool, str]:
         """Set a parameter of the tested node, or of another, by its service; return whether it did, and why not."""
-        client = self.node.create_client(SetParameters, f"/{node or self._tested}/set_parameters")
-        self.wait(client.service_is_ready, f"the parameters of {node or self._tested}")
         request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
-        future = client.call_async(request)
-        self.wait(future.done, f"the answer to {name}")
-        self.node.destroy_client(client)
-        (result,) = future.result().results
+        (result,) = self.call(SetParameters, f"/{node or self._tested}/set_parameters", request).results
         return bool(result.successful), str(result.reason)
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        """Call a service and return its response."""
+        client = self.node.create_client(kind, name)
+        self.wait(client.service_is_ready, f"the service {name}")
+        future = client.call_async(request)
+        self.wait(future.done, f"the answer of {name}")
+        self.node.destroy_client(client)
+        return future.result()
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:

@@ -4,7 +4,8 @@ The arm replans every 5 % of the person's motion and executes meanwhile (P1 lets
 posture is held until the arm has arrived. What a motion costs is what P1's published code measures (docs/papers.md
 1.12): the mean occupancy of the arm's body points, times 87, integrated over the configuration distance of the motion
 executed, and 0.002 of its length, under P1's prediction after the last posture. That occupancy is the same for all
-methods, and has no margin that a planner keeps. Basic STOMP is the same planner, told that nobody is there.
+methods, and has no margin that a planner keeps. Basic STOMP is the same planner, told that nobody is there. The guard
+stops the arm for who comes close and lets them touch an arm that stands: such a contact counts, too.
 """
 
 from __future__ import annotations
@@ -261,6 +262,8 @@ _COMPARED = (
     Column("basic / this, mean cost", lambda f: f["ratio"], ".1f"),
     Column("  under what was really swept", lambda f: f["ratio_swept"], ".1f"),
     Column("  where both reach a goal", lambda f: f["ratio_reached"], ".1f"),
+    Column("time slowed by the guard", lambda f: 100.0 * f["slowed"], ".0f", "%"),
+    Column("stopped", lambda f: 100.0 * f["stopped"], ".0f", "%"),
     Column("median replanning step", lambda f: f["step_ms"], ".1f", "ms"),
 )
 

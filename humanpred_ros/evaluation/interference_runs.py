@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from humanpred_ros.evaluation.guarded import drive_guarded
 from humanpred_ros.evaluation.run_figures import ExecutedMotion, RunEvaluator, RunFigures
 from humanpred_ros.evaluation.simulation import (
     METHODS,
@@ -24,6 +25,7 @@ from humanpred_ros.evaluation.simulation import (
 )
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy
+from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.planning.decision import Decision
 from humanpred_ros.planning.path import straight
@@ -38,6 +40,8 @@ BASIC = "basic"
 TABLE_METHODS = ("ours_p1", "ours", BASIC)
 #: Methods that predict: every contact of their runs is looked into.
 PREDICTING = ("ours", "ours_p1")
+#: Methods with a separation guard.
+GUARDED = ("guard", "ours_guard")
 #: Whose prediction after the last posture every run is measured with, as in P1's Table I.
 _MEASURE = "swept_volume"
 #: Waypoints of a straight line that is tried.
@@ -135,6 +139,9 @@ def _run(
     occupancies: Iterable[Occupancy] = nobody(scene.grid, motion, n_held)
     if predictor is not None:
         occupancies = seen[predictor].since(first)
+    if method in GUARDED:
+        decisions, pace = drive_guarded(replanner, scene, HumanModel.kinect12(), motion, occupancies, n_held)
+        return ExecutedMotion.of(scene.start, decisions, begin_s, pace), decisions
     decisions = drive(replanner, scene.start, occupancies, n_least, begin_s)
     return ExecutedMotion.of(scene.start, decisions, begin_s), decisions
 
@@ -174,6 +181,8 @@ def method_figures(method: str, runs: Sequence[RunFigures]) -> dict[str, Any]:
         "clearance_m": min(run.clearance_m for run in mine),
         "time_to_goal_s": float(np.median([run.time_to_goal_s for run in mine])),
         "execution_s": float(np.median([run.execution_s for run in mine])),
+        "slowed": float(np.mean([run.slowed for run in mine])),
+        "stopped": float(np.mean([run.stopped for run in mine])),
         "step_ms": float(np.median(timed)) if len(timed) else np.nan,
     }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.planning.decision import EVADE, HOLD, MISSED, REPLAN, Decision
+from humanpred_ros.planning.pace import Pace
 from humanpred_ros.planning.path import path_integral, path_parameter
 from humanpred_ros.planning.trajectory import TimedTrajectory, at_rest
 from humanpred_ros.robot.clearance import Separation, SeparationMeter
@@ -75,6 +76,10 @@ class RunFigures:
     evasions: int
     ended: str  #: last decision, with its reason
     step_ms: float  #: median time a replanning step took; machine-dependent
+    #: shares of the time from the person's first posture until the arm rests for good, or until the last posture, in
+    #: which a guard let it move more slowly, and not at all
+    slowed: float = 0.0
+    stopped: float = 0.0
 
 
 class RunEvaluator:
@@ -143,6 +148,8 @@ class RunEvaluator:
             holds=holds,
             evasions=evasions,
             ended=f"{decisions[-1].action}: {decisions[-1].reason}" if decisions else "",
+            slowed=executed.share(min(rest_s, self.t_s[-1]), lambda factor: 0.0 < factor < 1.0),
+            stopped=executed.share(min(rest_s, self.t_s[-1]), lambda factor: factor == 0.0),
             step_ms=1e3 * float(np.median(compute)) if compute else np.nan,
         )
 
@@ -205,23 +212,25 @@ class ExecutedMotion:
     is dropped (as in `planning.trajectory.Schedule`, which forgets, and this does not).
     """
 
-    def __init__(self, q_start: ArrayLike, begin_s: float = 0.0) -> None:
-        """Begin with an arm at rest at `q_start` (D,) from `begin_s` on."""
-        self._begin_s = float(begin_s)
+    def __init__(self, q_start: ArrayLike, begin_s: float = 0.0, pace: Pace | None = None) -> None:
+        """Begin with an arm at rest at `q_start` (D,) from `begin_s` on, whose trajectories' time has this pace."""
+        self._begin_s, self._pace = float(begin_s), pace or Pace()
         self._from_s = [self._begin_s]
         self._trajectories = [at_rest(q_start, begin_s)]
 
     @classmethod
-    def of(cls, q_start: ArrayLike, decisions: Iterable[Decision], begin_s: float = 0.0) -> ExecutedMotion:
+    def of(
+        cls, q_start: ArrayLike, decisions: Iterable[Decision], begin_s: float = 0.0, pace: Pace | None = None
+    ) -> ExecutedMotion:
         """Return what was executed of a run's decisions; those that came too late were not."""
-        motion = cls(q_start, begin_s)
+        motion = cls(q_start, begin_s, pace)
         for decision in decisions:
             if decision.trajectory is not None and decision.action != MISSED:
                 motion.take_over(decision.t_switch_s, decision.trajectory)
         return motion
 
     def take_over(self, from_s: float, trajectory: TimedTrajectory) -> None:
-        """Let a trajectory be executed from `from_s` on."""
+        """Let a trajectory be executed from `from_s` on, both in the controller's time."""
         while len(self._from_s) > 1 and self._from_s[-1] >= from_s:
             self._from_s.pop()
             self._trajectories.pop()
@@ -232,13 +241,15 @@ class ExecutedMotion:
     def departure_s(self) -> float:
         """When the first trajectory that moves takes over; infinite if none does."""
         pairs = zip(self._from_s, self._trajectories, strict=True)
-        moving = (from_s for from_s, way in pairs if way.end_s > from_s and np.ptp(way.q, axis=0).any())
+        moving = (
+            self._pace.reached_s(from_s) for from_s, way in pairs if way.end_s > from_s and np.ptp(way.q, axis=0).any()
+        )
         return next(moving, np.inf)
 
     @property
     def end_s(self) -> float:
         """Since when the arm rests for good."""
-        return max(self._begin_s, self._from_s[-1], self._trajectories[-1].end_s)
+        return max(self._begin_s, self._pace.reached_s(max(self._from_s[-1], self._trajectories[-1].end_s)))
 
     @property
     def q_end(self) -> FloatArray:
@@ -248,6 +259,7 @@ class ExecutedMotion:
 
     def at(self, t_s: FloatArray) -> FloatArray:
         """Return the configurations (T, D) at times (T,)."""
+        t_s = self._pace.progress(t_s)
         which = np.clip(np.searchsorted(self._from_s, t_s, side="right") - 1, 0, None)
         q = np.empty((len(t_s), len(self.q_end)))
         for k in np.unique(which):
@@ -258,8 +270,14 @@ class ExecutedMotion:
         """Return times (T,) at most `period_s` apart from begin to end, all takeovers among them, and q (T, D)."""
         n = max(1, int(np.ceil((self.end_s - self._begin_s) / period_s - 1e-9)))
         even = np.linspace(self._begin_s, self.end_s, n + 1)
-        t = np.unique(np.concatenate([even, self._from_s]))
+        t = np.unique(np.concatenate([even, [self._pace.reached_s(from_s) for from_s in self._from_s]]))
         return t, self.at(t)
+
+    def share(self, until_s: float, which: Callable[[float], bool]) -> float:
+        """Return the share of the time up to `until_s` in which the speed factor is such."""
+        begins = [min(max(change[0], self._begin_s), until_s) for change in self._pace.changes] + [until_s]
+        lasts = np.diff(begins) * [which(factor) for _, _, factor in self._pace.changes]
+        return float(lasts.sum() / (until_s - self._begin_s)) if until_s > self._begin_s else 0.0
 
     def rests_since(self) -> float:
         """Return since when the configuration has been the last one: earlier than `end_s` if the end was repeated."""

@@ -127,6 +127,8 @@ METHODS: Mapping[str, tuple[str | None, str]] = MappingProxyType(
         "current": ("current", "current occupancy only: the body where it is now"),
         "wait": ("current", "rests until the human's motion is over, then goes by the last posture"),
         "basic": (None, "smoothness and obstacles only: knows of no human"),
+        "guard": (None, "basic, slowed and stopped by a separation guard that sees every posture"),
+        "ours_guard": ("forecast", "ours, slowed and stopped by the same guard"),
     }
 )
 

@@ -123,6 +123,21 @@ class CommandingNode(GraphNode):
             elif self.begun:
                 self._lose(reason, received_s)
 
+    def hold(self, reason: str) -> None:
+        """Bring the arm to rest, if it is commanded, and say so; in stepped runs at the newest occupancy's stamp."""
+        received_s = time.perf_counter()
+        with self.replanner.lock:
+            if self.begun and self.settings.lossless:
+                self._note_hold(reason)
+                stop = self.replanner.hold((self.last_ns - self.origin_ns) * 1e-9, reason)
+                self.publish(stop, self.last_ns, received_s)
+            elif self.begun:
+                self.publish(self._hold(reason), self.last_ns, received_s)
+
+    def use(self, settings: StompPlannerSettings) -> None:
+        """Go by other settings, where they may change at run time."""
+        self.settings = settings
+
     def _hold(self, reason: str) -> Decision:
         with self.replanner.lock:
             self.holding = True

@@ -40,16 +40,18 @@ _RCLPY_PREFIXES = ("qos_overrides.",)
 _PLUGIN_FIELDS = {CLASSIFIERS: "classifier", PREDICTORS: "predictor", COST_TERMS: "cost_terms"}
 
 
-def declare(node: Node, settings_type: type[T]) -> T:
+def declare(node: Node, settings_type: type[T], later: Iterable[str] = ()) -> T:
     """Declare one ROS parameter per field of a settings class, and return their values.
 
-    A parameter that cannot change at run time says so as its additional constraint.
+    A parameter that cannot change at run time says so as its additional constraint. `later` names what stands before
+    the point of parameters that the node itself declares, and checks, later.
 
     Raises:
         UsageError: a parameter of the wrong type, with a value that cannot be used, or of a name that this node does
             not have (ROS itself would ignore it).
     """
-    _refuse_unknown(node, settings_type, list(node._parameter_overrides))
+    given = [name for name in node._parameter_overrides if name.partition(".")[0] not in set(later)]
+    _refuse_unknown(node, settings_type, given)
     values = {name: declare_setting(node, name, field) for name, field in settings_type.model_fields.items()}
     try:
         return settings_type(**values)

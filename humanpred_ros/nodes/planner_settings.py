@@ -32,24 +32,36 @@ class StompPlannerSettings(NodeSettings):
     noise_std: float = setting_of(StompConfig, "noise_std")
     cost_terms: tuple[str, ...] = setting_of(ReplannerConfig, "cost_terms", restart="they are compiled together")
     noise_decay: float = setting_of(StompConfig, "noise_decay")
-    velocity_scale: float = setting_of(ReplannerConfig, "velocity_scale")
+    velocity_scale: float = setting_of(ReplannerConfig, "velocity_scale", changeable=True)
     acceleration_limit: float = setting_of(ReplannerConfig, "acceleration_limit")
     min_improvement: float = setting_of(ReplannerConfig, "min_improvement")
-    padding_m: float = setting_of(ReplannerConfig, "padding_m")
-    human_margin_m: float = setting_of(ReplannerConfig, "human_margin_m")
-    min_separation_m: float = setting_of(ReplannerConfig, "min_separation_m")
-    likely_probability: float = setting_of(ReplannerConfig, "likely_probability")
+    padding_m: float = setting_of(ReplannerConfig, "padding_m", changeable=True)
+    human_margin_m: float = setting_of(ReplannerConfig, "human_margin_m", changeable=True)
+    min_separation_m: float = setting_of(ReplannerConfig, "min_separation_m", changeable=True)
+    likely_probability: float = setting_of(ReplannerConfig, "likely_probability", changeable=True)
     command_by: Literal["topic", "action"] = setting(
         "topic", "the arm is commanded on its controller's topic, or by its action FollowJointTrajectory"
     )
     controller: str = setting("", "node that must be listening to the trajectories before this one is ready")
     listener: str = setting("", "node that must be listening to the decisions before this one is ready")
-    max_human_age_s: float = setting(0.5, "older human occupancy leads to a hold", unit="s", low=0.02, high=60.0)
+    max_human_age_s: float = setting(
+        0.5, "older human occupancy leads to a hold", unit="s", low=0.02, high=60.0, changeable=True
+    )
     max_ahead_s: float = setting(
-        0.05, "human data with a stamp farther ahead of the clock are invalid", unit="s", low=0.0, high=10.0
+        0.05,
+        "human data with a stamp farther ahead of the clock are invalid",
+        unit="s",
+        low=0.0,
+        high=10.0,
+        changeable=True,
     )
     max_arm_age_s: float = setting(
-        0.5, "an arm whose joint states have not come for so long is silent: a hold", unit="s", low=0.02, high=60.0
+        0.5,
+        "an arm whose joint states have not come for so long is silent: a hold",
+        unit="s",
+        low=0.02,
+        high=60.0,
+        changeable=True,
     )
     follow_tolerance_rad: float = setting_of(FollowingSettings, "follow_tolerance_rad")
     follow_lag_s: float = setting_of(FollowingSettings, "follow_lag_s")

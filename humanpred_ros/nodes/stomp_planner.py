@@ -24,6 +24,7 @@ from humanpred_ros.nodes.base import entry_point
 from humanpred_ros.nodes.commander import OtherCommanders
 from humanpred_ros.nodes.commanding_node import CommandingNode
 from humanpred_ros.nodes.inputs import Input
+from humanpred_ros.nodes.operator_services import TASK_COSTS, OperatorServices, declare_task_costs, take_parameters
 from humanpred_ros.nodes.parameters import declare, plugin_parameters
 from humanpred_ros.nodes.planner_settings import StompPlannerSettings
 from humanpred_ros.nodes.seen_people import SeenPeople
@@ -61,12 +62,13 @@ class StompPlannerNode(CommandingNode):
 
     def configure(self) -> None:
         self.others = OtherCommanders(self)  # what takes long below is time for others to be heard of
-        self.settings = settings = declare(self, StompPlannerSettings)
+        self.settings = settings = declare(self, StompPlannerSettings, (TASK_COSTS,))
         self.scene = load_scene(settings.scene)
         with compiled.announced("STOMP planner", self.get_logger().info):
             config = settings.replanner_config(plugin_parameters(self, settings.cost_terms))
             self.replanner = Replanner.for_scene(self.scene, config)
             self.replanner.warm_up()
+        self.replanner.change(task_costs=declare_task_costs(self))
 
     def activate(self) -> None:
         super().activate()
@@ -76,6 +78,7 @@ class StompPlannerNode(CommandingNode):
         age_s = math.inf if settings.lossless else settings.max_human_age_s
         profile = qos.sensor_subscription(settings.lossless, newest_only=True)
         self.listen(PointCloud2, topics.OCCUPANCY, self.on_occupancy, profile, max_age_s=age_s)
+        self.operator = OperatorServices(self)
         self.answers = Input(topics.DECISION)
         self._closing, self._asked = threading.Event(), threading.Event()
         # With how many holds there were before it came: an older one ends none.
@@ -88,11 +91,15 @@ class StompPlannerNode(CommandingNode):
             thread.start()
 
     def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Take the noise of the rollouts at run time."""
-        for parameter in parameters:
-            if parameter.name == "noise_std":
-                self.replanner.set_noise(parameter.value)
-        return SetParametersResult(successful=True)
+        return take_parameters(self, parameters)
+
+    def use(self, settings: StompPlannerSettings) -> None:
+        super().use(settings)
+        if self.connected:
+            self.people.settings = settings
+            if not settings.lossless:
+                self.inputs[topics.JOINT_STATES].max_age_s = settings.max_arm_age_s
+                self.inputs[topics.OCCUPANCY].max_age_s = settings.max_human_age_s
 
     def waiting_for(self) -> str:
         if self.arm.q is None:
@@ -102,17 +109,18 @@ class StompPlannerNode(CommandingNode):
         return self.commander.waiting_for() or listening or looking
 
     def holding_because(self) -> str:
-        return self.replanner.held
+        return self.replanner.held or self.replanner.paused
 
     def working(self) -> str:
         return "planning" if self.begun else super().working()
 
     def facts(self) -> dict[str, str]:
         if not self.begun:
-            return {}
+            return self.operator.facts()
         answers = self.answers.facts(time.monotonic())
         error_rad = f"{self.arm.following.error_rad:.4f}"
-        return {"following_error_rad": error_rad, **{f"answers/{name}": text for name, text in answers.items()}}
+        facts = {"following_error_rad": error_rad, **self.operator.facts()}
+        return {**facts, **{f"answers/{name}": text for name, text in answers.items()}}
 
     def deactivate(self) -> None:
         """Stop the arm, which nobody is going to command any more."""

@@ -16,7 +16,7 @@ def decide(step: Step) -> Decision:
     """Return the decision of a step: the best path that can be executed, or what to do without one."""
     chosen, leave = step.state.chosen, ""
     if chosen is not None and step.state.at_goal(step.t_switch_s):
-        leave = step.person.rest_conflict(step.q)
+        leave = step.disabled(chosen) or step.person.rest_conflict(step.q)
         if not leave:
             arriving = step.executing.end_s > step.seen_s
             action, reason = (KEEP, f"about to arrive at {chosen}") if arriving else (ARRIVED, f"at {chosen}")
@@ -26,11 +26,12 @@ def decide(step: Step) -> Decision:
     if considered and all(report.iterations == 0 for report in considered) and step.late:
         return wait(step, NO_TIME)
     for candidate in step.ranked():  # line 6
-        trajectory = step.executing if candidate.executing else step.timed(candidate.report.path)
+        goes_on = candidate.executing and not step.state.retime
+        trajectory = step.executing if goes_on else step.timed(candidate.report.path)
         trouble = step.trouble(trajectory)
         if trouble:
             candidate.report = replace(candidate.report, set_aside=trouble)
-        elif candidate.executing:
+        elif goes_on:
             return step.decision(KEEP, "no better path than the one being executed", candidate.name)
         else:
             return step.decision(REPLAN, _why(step, candidate, leave), candidate.name, trajectory)
@@ -44,6 +45,8 @@ def _why(step: Step, candidate: Candidate, leave: str) -> str:
     if chosen is None:
         return f"{report.name} is the cheapest goal"
     if report.name == chosen:
+        if candidate.executing:
+            return f"the same path to {report.name} at another speed"
         return f"a better path to {report.name}" if step.state.leads_to == chosen else f"a way to {report.name} again"
     if leave:
         return f"leaves {chosen}: {leave}"

@@ -170,6 +170,7 @@ class State:
     stops: int = 0  #: how often the robot has been stopped: a plan from before a stop is not executed
     #: why the robot is not where the schedule says, so that it may not be commanded; empty while it is there
     lost: str = ""
+    retime: bool = False  #: whether what is being executed has another speed than plans are to have
     pace: Pace = field(default_factory=Pace)  #: of the controller's time
 
     def due(self, t_s: float) -> bool:
@@ -187,6 +188,7 @@ class State:
         """Go on as a step has decided."""
         if decision.trajectory is not None:
             self.schedule.add(decision.t_switch_s, decision.trajectory)
+            self.retime = False
         if decision.trajectory is not None or decision.action == HOLD:
             self.leads_to = decision.chosen if decision.action == REPLAN else None
         self.held = decision.reason if decision.action == HOLD else ""

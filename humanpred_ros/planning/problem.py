@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Protocol
@@ -70,6 +71,7 @@ class Problem:
         arm, chain: the arm and its kinematics.
         goals: configurations (K, D) of each goal that the arm can rest at, by name.
         task_costs: of each goal.
+        disabled: names of goals that are not planned for.
         obstacles: cost of obstacles.
         checker: says what may be executed.
         weights: (D,) configuration distance of a one-radian change of each joint alone (docs/papers.md, 1.12).
@@ -96,6 +98,8 @@ class Problem:
         names = [goal.name for goal in goals]
         if not names or len(set(names)) != len(names):
             raise PlanningError(f"replanner: wanted one or more goals of different names, got {names}")
+        self._given = arm, goals, field, self_clearance
+        self.disabled: frozenset[str] = frozenset()
         self.config, self.arm, self.chain = config, arm, arm.chain
         spheres, n = arm.spheres(), arm.chain.n_joints
         self.checker = MotionChecker(arm.chain, spheres, field, config.padding_m - _SLACK_M, self_clearance)
@@ -110,6 +114,28 @@ class Problem:
         )
         self.obstacles = ObstacleCost.build(self._request)
         self._terms = self._chosen_terms()
+
+    def changed(self, config: ReplannerConfig, task_costs: Mapping[str, float], disabled: Iterable[str]) -> Problem:
+        """Return the problem with other settings, with costs of some goals, and with these goals disabled.
+
+        The threads are the same.
+
+        Raises:
+            PlanningError: for a goal that there is none of.
+            SceneError: for a cost that is not a number of at least 0.
+            GoalUnreachableError: a goal cannot be worked on with these settings.
+            SettingsError: for a setting that a cost term does not have.
+        """
+        arm, goals, field, itself = self._given
+        disabled = frozenset(disabled)
+        unknown = (task_costs.keys() | disabled) - self.goals.keys()
+        if unknown:
+            raise PlanningError(f"tasks: wanted some of {', '.join(self.goals)}, got {', '.join(sorted(unknown))}")
+        costs = {**self.task_costs, **task_costs}
+        goals = [replace(goal, task_cost=costs[goal.name]) for goal in goals]
+        other = copy.copy(self) if config == self.config else Problem(arm, goals, field, config, itself)
+        other.task_costs, other.disabled, other.pool = costs, disabled, self.pool
+        return other
 
     def planner(self, occupancy: Occupancy) -> tuple[StompPlanner, HumanOccupancyCost]:
         """Return the planner for one predicted occupancy, and the cost of the person, which compares goals."""

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -58,6 +58,7 @@ class Replanner:
         lock: held while the state changes, not while a step is planned.
         factor: speed at which the controller runs through what it is sent (`set_factor`).
         stopped: why that is 0; empty while it is not.
+        paused: why no occupancy is planned with, by somebody's wish; empty while they are.
     """
 
     def __init__(
@@ -89,10 +90,10 @@ class Replanner:
         self.arm, self.chain = arm, arm.chain
         self._grid = grid
         self._state: State | None = None
-        self._noise_std: FloatArray | None = None
+        self._next: Problem | None = None
         self.keep_rollouts = False
         self.lock = threading.RLock()
-        self.factor, self.stopped = 1.0, ""
+        self.factor, self.stopped, self.paused = 1.0, "", ""
         self.rollouts: dict[str, Float32Array] = {}
 
     @classmethod
@@ -119,11 +120,12 @@ class Replanner:
         Raises:
             PlanningError: for a start that is not finite, or outside the joint limits.
         """
+        self._take_changes()
         q = checked("start configuration", q_start, (self.chain.n_joints,), error=PlanningError)
         outside = self.problem.outside_limits(q)
         if outside:
             raise PlanningError(f"start configuration: {outside}; is the robot reporting this arm's joints?")
-        goals = {name: q + self.arm.difference(q, goal) for name, goal in self.problem.goals.items()}
+        goals = self._unwrapped(q)
         # P1 looks at the first 5 % of a motion before it plans: no step is due yet.
         state = State(self.config.period_s, Schedule(q, t_s), goals, last_stamp_s=t_s, last_due_s=t_s)
         state.pace = state.pace.changed(t_s, self.factor)
@@ -133,16 +135,32 @@ class Replanner:
         """Be as before `start`; what was set meanwhile is kept."""
         self._state = None
 
-    def set_noise(self, noise_std: ArrayLike) -> None:
-        """Let the steps to come use this noise, as in `StompConfig`: one number, or one for each joint.
+    def change(
+        self,
+        config: ReplannerConfig | None = None,
+        task_costs: Mapping[str, float] | None = None,
+        disabled: Iterable[str] | None = None,
+    ) -> None:
+        """Let other settings, costs of goals, or disabled goals count from the next occupancy on, all or none.
+
+        A disabled goal is not planned for, and left with the next step. A step that is being planned, and what is being
+        executed, keep the settings they were made with until then. Period and threads stay as they are.
 
         Raises:
-            PlanningError: for another number of them, or one that is not positive.
+            HumanPredError: as `Problem.changed`.
         """
-        std = np.asarray(noise_std, dtype=np.float64)
-        if std.shape not in ((), (self.chain.n_joints,)) or not (np.isfinite(std) & (std > 0.0)).all():
-            raise PlanningError(f"noise_std: wanted one number > 0 or {self.chain.n_joints} of them, got {std}")
-        self._noise_std = std
+        with self.lock:
+            base = self._next or self.problem
+            other = base.changed(
+                config or base.config, task_costs or {}, base.disabled if disabled is None else disabled
+            )
+            self._next = other
+            if self._state is None:
+                self._take_changes()
+
+    def plan_now(self) -> None:
+        """Let the next occupancy be answered with a replanning step, due or not."""
+        self._started().urgent = True
 
     def due(self, t_s: float) -> bool:
         """Return whether an occupancy stamped `t_s` calls for a replanning step; after an emergency stop, any does."""
@@ -172,9 +190,9 @@ class Replanner:
         state, stamp_s = self._check(occupancy), occupancy.t_s
         now_s = stamp_s if now is None else now()
         with self.lock:
-            blocked = self.stopped or state.lost
-            if blocked:
-                return replace(self.hold(now_s, blocked), stamp_s=stamp_s)
+            self._take_changes()
+            if self.blocked:
+                return replace(self.hold(now_s, self.blocked), stamp_s=stamp_s)
             stops, pace = state.stops, state.pace
         seen_s, from_s, t_switch_s = pace.progress([stamp_s, now_s, stamp_s + self.config.period_s])
         person = self.problem.person(occupancy)
@@ -207,6 +225,8 @@ class Replanner:
             PlanningError: before `start`, for an occupancy older than the last one committed, or one of another
                 lattice than the replanner was made for.
         """
+        with self.lock:
+            self._take_changes()
         return self._planned(self._check(occupancy), self.problem.person(occupancy), deadline)
 
     def commit(self, decision: Decision) -> None:
@@ -304,6 +324,22 @@ class Replanner:
         state.schedule, state.lost = Schedule(q, self._progress(t_s)), ""
 
     @property
+    def pace(self) -> Pace:
+        """How the controller's time runs."""
+        return self._started().pace
+
+    @property
+    def disabled(self) -> frozenset[str]:
+        """Names of the goals that are not planned for, from the next occupancy on."""
+        return (self._next or self.problem).disabled
+
+    @property
+    def blocked(self) -> str:
+        """Why no occupancy is planned with, whatever is in it; empty while they are."""
+        none = f"no task is enabled: {', '.join(self.goal_names)} could be"
+        return self.stopped or self.lost or self.paused or (none if self.disabled.issuperset(self.goal_names) else "")
+
+    @property
     def held(self) -> str:
         """Why the robot has been stopped; empty while it has not."""
         return "" if self._state is None else self._state.held
@@ -374,7 +410,7 @@ class Replanner:
 
     def _planned(self, state: State, person: Person, deadline: Callable[[], bool] | None) -> Decision:
         began = time.perf_counter()
-        step = Step(self.problem, state, person, self._noise_std, deadline)  # line 4: where the arm will be
+        step = Step(self.problem, state, person, deadline)  # line 4: where the arm will be
         decision = decide(step)
         runs = [(c.name, c.run) for c in step.candidates if c.run is not None and c.run.iterations]
         self.rollouts = {name: run.rollouts for name, run in runs} if self.keep_rollouts else {}
@@ -389,6 +425,22 @@ class Replanner:
         )
         state.stop(decision)
         return decision
+
+    def _unwrapped(self, q: FloatArray) -> dict[str, FloatArray]:
+        return {name: q + self.arm.difference(q, goal) for name, goal in self.problem.goals.items()}
+
+    def _take_changes(self) -> None:
+        """Let what was changed count from now on."""
+        if self._next is None:
+            return
+        before, state = self.problem, self._state
+        self.problem, self.config, self._next = self._next, self._next.config, None
+        if state is None:
+            return
+        # What is being executed has another speed than is wanted now.
+        state.retime = state.retime or not np.array_equal(before.velocity_limit, self.problem.velocity_limit)
+        if any(not np.array_equal(q, self.problem.goals[name]) for name, q in before.goals.items()):
+            state.goals = self._unwrapped(state.schedule.motion_from(state.schedule.last_from_s).q[-1])
 
     def _progress(self, t_s: float) -> float:
         """Return the controller's time at `t_s`."""

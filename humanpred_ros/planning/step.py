@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.planning.decision import Decision, GoalReport, State
@@ -50,7 +49,6 @@ class Step:
         executing: the trajectory being executed at the switch if nothing changes.
         q, v, a: (D,) position, velocity and acceleration at the switch.
         planner, human: STOMP for this occupancy, and the cost of the person.
-        noise_std: noise of the rollouts, as in `StompConfig`; None for the configured one.
         deadline: says True when the time is over; None for no deadline.
         candidates: a path to each goal, in the scene's order, once planned.
     """
@@ -60,11 +58,10 @@ class Step:
         problem: Problem,
         state: State,
         person: Person,
-        noise_std: ArrayLike | None = None,
         deadline: Callable[[], bool] | None = None,
     ) -> None:
         self.problem, self.config, self.state, self.person = problem, problem.config, state, person
-        self.noise_std, self.deadline = noise_std, deadline
+        self.deadline = deadline
         self.stamp_s = person.occupancy.t_s
         self.seen_s = float(state.pace.progress(self.stamp_s))
         self.t_switch_s = float(state.pace.progress(self.stamp_s + problem.config.period_s))
@@ -82,6 +79,10 @@ class Step:
     def moving_aside(self) -> bool:
         """Whether the robot is on its way out of the person's way at the switch."""
         return self.state.leads_to is None and not self.state.held and self.executing.end_s > self.t_switch_s
+
+    def disabled(self, name: str | None) -> str:
+        """Return that a goal is disabled; empty if it is not."""
+        return "disabled" if name in self.problem.disabled else ""
 
     def timed(self, path: FloatArray) -> TimedTrajectory:
         """Return a trajectory along a path (N, D) that takes over at the switch."""
@@ -126,9 +127,11 @@ class Step:
         cfg, goals = self.config, self.state.goals
         seeds = np.random.SeedSequence((cfg.seed, self.state.step)).spawn(len(goals))
         self.candidates = [self._first_path(name) for name in goals]
+        for candidate in self.candidates:
+            candidate.set_aside = self.disabled(candidate.name) or candidate.set_aside
         for candidate, seed in zip(self.candidates, seeds, strict=True):
             if not candidate.set_aside:
-                candidate.run = self.planner.begin(candidate.initial, np.random.default_rng(seed), self.noise_std)
+                candidate.run = self.planner.begin(candidate.initial, np.random.default_rng(seed))
         n = cfg.stomp.iterations
         first = cfg.prune_after if 0 < cfg.prune_after < n and len(goals) > 1 else n
         self._advance(first)

@@ -36,7 +36,7 @@ _LENGTH_WEIGHT = 0.2
 def wait(step: Step, reason: str) -> Decision:
     """Go on with what is being executed if it still can be; else wait, aside if the person comes here."""
     state, person, chosen = step.state, step.person, step.state.chosen
-    under_way = state.leads_to is not None and step.executing.end_s > step.t_switch_s
+    under_way = state.leads_to is not None and step.executing.end_s > step.t_switch_s and not step.disabled(chosen)
     if under_way and not (step.trouble(step.executing) or person.rest_conflict(step.executing.q[-1])):
         return step.decision(KEEP, reason + "; what is being executed still can", chosen)
     stop = None

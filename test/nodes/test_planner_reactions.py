@@ -11,9 +11,12 @@ from humanpred_ros.robot.scene import load_scene
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
 from planner_client import NS, Answer, PlannerClient, least_gap_m, nobody, somebody, voxels_near
+from std_srvs.srv import SetBool, Trigger
 
 from humanpred_ros.nodes import conversions
+from humanpred_ros.nodes.operator_services import PAUSED
 from humanpred_ros.nodes.planner_settings import StompPlannerSettings
+from humanpred_ros.planning.replanner_config import ReplannerConfig
 
 SCENE = load_scene("face_to_face")
 PERIOD_S, SEPARATION_M = 0.2, 0.05
@@ -135,6 +138,61 @@ def test_other_changes_are_refused_with_a_reason(client: PlannerClient, name: st
     assert not done
     assert reason
     assert costs_of(Session(client).ask(PERIOD_S)) == before
+
+
+def test_people_may_pause_the_arm_and_leave_tasks_alone(client: PlannerClient) -> None:
+    def call(name: str, data: bool | None = None) -> tuple[bool, str]:
+        kind, request = (Trigger, Trigger.Request()) if data is None else (SetBool, SetBool.Request(data=data))
+        response = client.call(kind, f"stomp_planner/{name}", request)
+        return response.success, response.message
+
+    session = Session(client)
+    session.set_out(0.6)
+    n_before = len(client.trajectories)
+    assert call("pause")[0]
+    client.wait(lambda: len(client.trajectories) > n_before, "the stop")
+    stop = client.executing(session.origin_ns)
+    assert not stop.sample(stop.end_s)[1].any()
+    assert call("plan_now") == (False, f"nothing is planned: {PAUSED}")
+    for t_s in (0.63, 1.2):
+        assert (session.ask(t_s).action, session.ask(t_s + 0.01).reason) == ("hold", PAUSED)
+    assert call("resume") == (True, "planning goes on")
+    assert call("resume") == (False, "it was not paused")
+    first = session.ask(1.4)
+    assert first.action == "replan"
+    chosen, other = first.values["chosen"], {"red": "blue", "blue": "red"}[first.values["chosen"]]
+    assert call(f"tasks/{chosen}/enable", False)[0]
+    assert not session.ask(1.43).goals  # at the next step
+    second = session.ask(1.6)
+    assert (second.values["chosen"], second.goals[chosen]["set_aside"]) == (other, "disabled")
+    assert "no task is enabled" in call(f"tasks/{other}/enable", False)[1]
+    assert session.ask(1.8).reason.startswith("no task is enabled")
+    for task in ("red", "blue"):
+        assert call(f"tasks/{task}/enable", True) == (True, f"{task} is enabled")
+    assert session.ask(1.83).action == "replan"
+    assert not session.ask(1.86).goals
+    assert call("plan_now")[0]
+    assert session.ask(1.89).goals
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("task_costs.red", 5.0), ("min_separation_m", 0.2), ("velocity_scale", 0.1)]
+)
+def test_settings_change_between_two_steps(client: PlannerClient, name: str, value: float) -> None:
+    session = Session(client)
+    session.set_out(0.4)
+    before = StompPlannerSettings().part(ReplannerConfig).model_dump().get(name, 0.0)
+    assert client.set_parameter(name, value) == (True, "")
+    answer = session.ask(0.6)
+    if name == "task_costs.red":
+        assert (answer.values["chosen"], answer.goals["red"]["task_cost"]) == ("blue", "5.0")
+    if name == "velocity_scale":
+        assert answer.action == "replan"
+    assert client.set_parameter(name, PARAMETERS.get(name, before)) == (True, "")
+    for wrong, reason in ((-1.0, name), (float("nan"), name), ("much", "expected 'Type.DOUBLE'")):
+        done, said = client.set_parameter(name, wrong)
+        assert not done
+        assert reason in said
 
 
 def test_rollouts_are_drawn_for_who_asks(client: PlannerClient) -> None:

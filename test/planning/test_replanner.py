@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planning_worlds import field_around, free_space, nobody, planar_arm, somebody_at
 
-from humanpred_ros.errors import GoalUnreachableError, PlanningError, SettingsError
+from humanpred_ros.errors import GoalUnreachableError, PlanningError, SceneError, SettingsError
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.planning.decision import Decision
 from humanpred_ros.planning.replanner import Replanner
@@ -446,15 +446,77 @@ def test_misuse_is_refused() -> None:
         replanner().start(np.array([0.0, 2.7, 0.0]), 0.0)
 
 
-def test_noise_can_be_changed_between_steps() -> None:
+def with_noise(noise_std: float) -> ReplannerConfig:
+    return CONFIG.replaced(stomp=CONFIG.stomp.replaced(noise_std=noise_std))
+
+
+def test_settings_can_be_changed_between_steps() -> None:
     subject, other = replanner(), replanner()
-    other.set_noise(1e-6)
+    other.change(with_noise(1e-6))
     assert subject.plan(nobody()) != other.plan(nobody())
-    other.set_noise(CONFIG.stomp.noise_std)
+    other.change(with_noise(CONFIG.stomp.noise_std))
     assert subject.plan(nobody()) == other.plan(nobody())
-    for wrong in (0.0, [0.1, 0.1], np.nan):
-        with pytest.raises(PlanningError, match="noise_std"):
-            subject.set_noise(wrong)
+    for error, wrong in (
+        (SceneError, {"task_costs": {"left": -1.0}}),
+        (PlanningError, {"task_costs": {"middle": 1.0}}),
+        (PlanningError, {"disabled": ["middle"], "config": with_noise(1e-6)}),
+    ):
+        with pytest.raises(error):
+            other.change(**wrong)
+        assert subject.plan(nobody()) == other.plan(nobody())
+
+
+def test_another_speed_is_taken_on_the_way() -> None:
+    subject = replanner()
+    for t_s in np.arange(0.1, 0.75, 0.1):
+        subject.respond(nobody(t_s))
+    assert np.abs(subject.state_at(0.8)[1]).max() > 0.7
+    subject.change(CONFIG.replaced(velocity_scale=0.2))
+    decisions = [subject.respond(nobody(t_s)) for t_s in np.arange(0.8, 1.25, 0.1)]
+    assert decisions[0].action == "replan"
+    assert {decision.action for decision in decisions[1:]} == {"keep"}  # once, not at every step
+    v = np.abs([subject.state_at(t_s)[1] for t_s in np.arange(1.4, 1.8, 0.02)])
+    assert (v <= 1.02 * 0.2 * ARM.chain.velocity_limit).all()
+    assert v.max() > 0.1
+
+
+def test_costs_of_tasks_and_disabled_tasks_count_from_the_next_step() -> None:
+    subject = replanner()
+    steps_s = iter(np.arange(0.1, 20.0, 0.1))
+
+    def step() -> Decision:
+        return subject.respond(nobody(next(steps_s)))
+
+    first = step()
+    other = {"left": "right", "right": "left"}[first.chosen]
+    subject.change(task_costs={first.chosen: 5.0})
+    assert step().chosen == other
+    subject.change(task_costs={first.chosen: 0.0}, disabled=[other])
+    left = step()
+    assert (left.action, left.chosen, left.report(other).set_aside) == ("replan", first.chosen, "disabled")
+    assert left.report(other).iterations == 0
+    while step().action != "arrived":
+        pass
+    subject.change(disabled=[first.chosen])  # it leaves a goal that it is at, too
+    left = step()
+    assert (left.chosen, left.reason) == (other, f"leaves {first.chosen}: disabled")
+    subject.change(disabled=["left", "right"])
+    held = step()
+    assert (held.action, held.reason.split(":")[0]) == ("hold", "no task is enabled")
+    subject.change(disabled=[])
+    assert step().action == "replan"
+
+
+def test_who_is_paused_holds_and_a_plan_may_be_asked_for() -> None:
+    subject = replanner()
+    assert subject.respond(nobody(0.1)).goals
+    assert not subject.respond(nobody(0.13)).goals
+    subject.plan_now()
+    assert subject.respond(nobody(0.16)).goals
+    subject.paused = "lunch"
+    assert [subject.respond(nobody(t)).reason for t in (0.19, 0.5)] == ["lunch", "lunch"]
+    subject.paused = ""
+    assert subject.respond(nobody(0.53)).action == "replan"
 
 
 def test_rollouts_are_kept_on_request_only() -> None:
