@@ -50,6 +50,7 @@ OTHERS = {
     "use_sim_time": ("false", "time comes from /clock; the replay, if started, publishes it"),
     "domain": ("", "ROS_DOMAIN_ID of the nodes; empty: that of the terminal"),
     "managed": ("false", "nodes wait for a lifecycle manager to configure and activate them"),
+    "one_process": ("false", "predictor and planner run in one process, for small computers"),
     "demo": ("true", "the end of the replay ends everything"),
 }
 # The first start on a machine compiles the planner and trains a model before anybody is ready.
@@ -117,16 +118,19 @@ class Graph:
             nodes["simulated_arm"] = self.node("simulated_arm", "scene", "all", **watched, **clock)
         if guard:
             nodes["separation_guard"] = self.node("separation_guard", "scene human", "again", **clock)
-        if planner:
+        both = "scene library model predictor human body_id"
+        together = planner and predictor and self.on("one_process")
+        if planner and not together:
             own: dict[str, Any] = {"controller": "simulated_arm"} if arm else {}
             own |= {"listener": "skeleton_tracker_replay"} if tracker else {}
             nodes["stomp_planner"] = self.node("stomp_planner", "scene", "again", **own, **watched, **clock)
         if predictor:
-            own = {"listener": "stomp_planner"} if planner else {}
+            own = {"listener": "stomp_planner"} if planner and not together else {}
+            own |= {**({"controller": "simulated_arm"} if arm else {}), **watched} if together else {}
             if self.value["places"]:
                 own["places"] = ParameterValue(self.value["places"], value_type=List[str])  # noqa: UP006
-            told = "scene library model predictor human body_id"
-            nodes["occupancy_predictor"] = self.node("occupancy_predictor", told, "again", **own, **clock)
+            name = "predict_and_plan" if together else "occupancy_predictor"
+            nodes[name] = self.node(name, both, "again", **own, **clock)
         if self.value["record"]:  # its end ends nothing: a full disk must not stop the work
             output = ParameterValue(self.value["record"], value_type=str)
             nodes["run_recorder"] = self.node("run_recorder", "body_id", "alone", output=output)
@@ -137,7 +141,7 @@ class Graph:
                 "skeleton_tracker_replay",
                 "library trajectory body_id",
                 "all" if self.on("demo") else "alone",
-                wait_for=",".join(nodes),
+                wait_for=",".join(nodes).replace("predict_and_plan", "occupancy_predictor,stomp_planner"),
                 ready_timeout_s=READY_TIMEOUT_S,
                 **own,
             )

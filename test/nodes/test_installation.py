@@ -428,6 +428,16 @@ def test_launch_leaves_out_what_others_do(left_out: str, launched: Callable[...,
     assert missing not in waited_for, "nobody waits for a node that is not started"
 
 
+def test_launch_of_predictor_and_planner_in_one_process(launched: Callable[..., dict[str, Any]]) -> None:
+    nodes = launched(one_process="true", guard="true", predictor="current", places="['3 0 0 1']")
+    assert set(nodes) == {"simulated_arm", "separation_guard", "predict_and_plan", "skeleton_tracker_replay"}
+    (told,) = nodes["predict_and_plan"].named["parameters"]
+    either = {**NODES["stomp_planner"].model_fields, **NODES["occupancy_predictor"].model_fields}
+    assert {"controller", "guard", "predictor", "places"} <= told.keys() <= either.keys()
+    waited_for = given_to(nodes["skeleton_tracker_replay"])["wait_for"]
+    assert set(waited_for.split(",")) >= {"stomp_planner", "occupancy_predictor"}
+
+
 def test_launch_in_operation(launched: Callable[..., dict[str, Any]]) -> None:
     nodes = launched(
         demo="false", guard="true", managed="true", record="bag", domain="7", namespace="robot1",
