@@ -9,10 +9,9 @@ import numpy as np
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
-from humanpred_ros.planning import protective_distance
 from humanpred_ros.planning.decision import ARRIVED, Decision
 from humanpred_ros.planning.pace import Pace
-from humanpred_ros.planning.protective_distance import ProtectiveDistance, SeenBody
+from humanpred_ros.planning.protective_distance import ProtectiveDistance, SeenBody, SpeedFactor
 from humanpred_ros.planning.replanner import Replanner
 from humanpred_ros.robot.scene import Scene
 
@@ -39,7 +38,7 @@ def drive_guarded(
         The decisions, stops of the guard's among them, and the pace of the controller's time.
     """
     protective = ProtectiveDistance(human, scene.arm, scene.T_world_human)
-    body, speed = SeenBody(), protective_distance.Pace(protective.settings)
+    body, speed = SeenBody(), SpeedFactor(protective.settings)
 
     def wanted(q_person: np.ndarray, t_s: float, q: np.ndarray, v: np.ndarray) -> float:
         body.see(q_person, t_s)

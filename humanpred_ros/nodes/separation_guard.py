@@ -29,11 +29,11 @@ from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.nodes.watched_people import PeopleSettings, WatchedPeople
 from humanpred_ros.planning.following import FollowingSettings
 from humanpred_ros.planning.protective_distance import (
-    Pace,
     ProtectiveDistance,
     ProtectiveDistanceSettings,
     SeenBody,
     Separation,
+    SpeedFactor,
 )
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.settings import setting
@@ -86,7 +86,7 @@ class SeparationGuard(GraphNode):
         settings, arm = self.settings, self.scene.arm
         self.arm = MeasuredArm(arm.chain.joint_names, FollowingSettings(), arm.difference)
         self.arm_trouble = ""
-        self.pace = Pace(settings.part(ProtectiveDistanceSettings))
+        self.pace = SpeedFactor(settings.part(ProtectiveDistanceSettings))
         self.stop, self.others = "nothing has been looked at yet", ""
         self.separation: Separation | None = None
         self.planner_s: float | None = None

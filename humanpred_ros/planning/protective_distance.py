@@ -255,7 +255,7 @@ class ProtectiveDistance:
         return nearest
 
 
-class Pace:
+class SpeedFactor:
     """The factor over time: it falls at once, rises smoothly, and after a stop only once it is worth it.
 
     Attributes:

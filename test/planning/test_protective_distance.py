@@ -7,11 +7,11 @@ import pytest
 
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.planning.protective_distance import (
-    Pace,
     ProtectiveDistance,
     ProtectiveDistanceSettings,
     SeenBody,
     Separation,
+    SpeedFactor,
 )
 from humanpred_ros.robot.scene import load_scene
 
@@ -143,7 +143,7 @@ def test_an_arm_that_stands_is_taken_to_set_out_towards_the_person() -> None:
 
 
 def test_the_pace_falls_at_once_rises_smoothly_and_resumes_late() -> None:
-    pace = Pace(ProtectiveDistanceSettings(rise_per_s=0.5, resume_factor=0.2))
+    pace = SpeedFactor(ProtectiveDistanceSettings(rise_per_s=0.5, resume_factor=0.2))
     assert pace.follow(1.0, 0.0) <= 0.01
     rising = [pace.follow(1.0, 0.1 * k) for k in range(1, 40)]
     assert max(np.diff([0.01, *rising])) <= 0.06
