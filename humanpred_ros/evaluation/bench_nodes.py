@@ -19,7 +19,7 @@ from humanpred_ros import topics
 from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.errors import BagError, UsageError
 from humanpred_ros.evaluation.planner_bench_world import SCENE, spread_goals
-from humanpred_ros.evaluation.processes import NodeGroup
+from humanpred_ros.evaluation.processes import ONE_PROCESS, NodeGroup
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.motion import Motion, MotionLibrary, pelvis_columns, resample
 from humanpred_ros.resources import share_file
@@ -31,6 +31,8 @@ RATE_HZ = 30.0
 #: Where the pelvises of the shipped library's people are in the scene at the start (median), world frame.
 _STAND_M = (-0.08, -1.31, 0.91)
 _STARTED, _READY, _PLANNER = "replay starts", "ready", "stomp_planner"
+#: Nodes of executables that are more than one.
+_NODES_OF = {ONE_PROCESS: "occupancy_predictor,stomp_planner"}
 #: Stamps are rounded to nanoseconds; steps are due this much early, as in the replanner.
 _DUE_TOLERANCE_S = 1e-6
 #: The first start on a machine compiles the kernels.
@@ -123,7 +125,7 @@ def replay(group: NodeGroup, motion: Path) -> tuple[NodeUsage, ...]:
             "library": str(motion.resolve()),
             "trajectory": "0",
             "hold_last_s": 0.0,
-            "wait_for": ",".join(node.name for node in group.nodes),
+            "wait_for": ",".join(_NODES_OF.get(node.name, node.name) for node in group.nodes),
             "listener": "occupancy_predictor",
             "ready_timeout_s": _READY_LIMIT_S,
         },

@@ -10,6 +10,7 @@ import json
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from humanpred_ros.evaluation.bench_nodes import (
 )
 from humanpred_ros.evaluation.demo import training_part
 from humanpred_ros.evaluation.framework import Begin, Column, OutputSettings, Report, Table
-from humanpred_ros.evaluation.processes import NodeGroup, ParameterValue, free_domain_id
+from humanpred_ros.evaluation.processes import ONE_PROCESS, NodeGroup, ParameterValue, free_domain_id, in_one_process
 from humanpred_ros.evaluation.timing import MachineLoad, Spread, growth_plot
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
@@ -61,6 +62,7 @@ class GraphBenchSettings(OutputSettings):
     seconds: float = setting(4.0, "length of the postures in every run", unit="s", low=0.1, high=600.0)
     runs: int = setting(4, "runs with each number of goals", low=1)
     predictor: str = setting(DEFAULT_PREDICTOR, "predictor of the occupancy")
+    one_process: bool = setting(False, "measure predictor and planner in one process as well")
     keep: Path | None = setting(None, "new folder to keep bags and logs in")
 
     def check(self) -> None:
@@ -88,7 +90,10 @@ def measure(settings: GraphBenchSettings, begin: Begin) -> Report:
         folder = (settings.keep or Path(temporary)).resolve()
         folder.mkdir(parents=True, exist_ok=True)
         results = list(_results(settings, folder, begin))
-    ready = {name: float(np.median([result[name] for result in results])) for name in ("ready_s", "ready_cpu_s")}
+    ready = {
+        name: float(np.median([result[name] for result in results if not result["one_process"]]))
+        for name in ("ready_s", "ready_cpu_s")
+    }
     return Report(
         f"{RATE_HZ:.0f} postures a second, {settings.waypoints} waypoints, {settings.iterations} iterations x "
         f"{settings.rollouts} rollouts, replanning every {1e3 * settings.period:.0f} ms; {settings.runs} runs of "
@@ -123,18 +128,24 @@ def _results(settings: GraphBenchSettings, folder: Path, begin: Begin) -> Iterat
         # Every path that is not dearer is sent, so that nearly every step yields a latency.
         "min_improvement": 0.0,
     }
-    for goals in settings.goals:
+    for goals, one_process in product(settings.goals, (False, True) if settings.one_process else (False,)):
         scene = {"scene": str(write_scene(folder / f"{goals}_goals.yaml", goals))}
         runs = []
         advance = begin(f"runs with {goals} goals", settings.runs)
+        name = f"{goals}_goals{'_in_one_process' if one_process else ''}"
         for k in range(settings.runs):
             started_ns, cpu_s, usage = _run_graph(
-                folder / f"{goals}_goals_{k}", replayed, {**scene, **predictor}, {**scene, **planner}, alone=k == 0
+                folder / f"{name}_{k}",
+                replayed,
+                {**scene, **predictor},
+                {**scene, **planner},
+                alone=k == 0,
+                one_process=one_process,
             )
-            bag = folder / f"{goals}_goals_{k}" / "bag"
+            bag = folder / f"{name}_{k}" / "bag"
             runs.append((answers_of(bag, settings.period, started_ns), cpu_s, usage))
             advance(k + 1)
-        yield together(goals, runs)
+        yield {**together(goals, runs), "one_process": one_process}
 
 
 def _run_graph(
@@ -144,6 +155,7 @@ def _run_graph(
     planner: Mapping[str, ParameterValue],
     *,
     alone: bool,
+    one_process: bool,
 ) -> tuple[int, float, tuple[NodeUsage, ...]]:
     """Start the nodes, replay the motion once, end the nodes.
 
@@ -151,6 +163,7 @@ def _run_graph(
         folder: new folder for bag and logs.
         motion: bag with the one motion replayed.
         predictor, planner: parameters of occupancy_predictor and stomp_planner.
+        one_process: predictor and planner are one process, which is then what is said of the planner's.
         alone: start the planner when the others rest, and the tracker when the planner rests; else all at once.
 
     Returns:
@@ -167,11 +180,17 @@ def _run_graph(
             "run_recorder", {"output": str(folder / "bag"), "stay": False, "run_info": json.dumps({"bench": "graph"})}
         )
         group.start("simulated_arm", {"scene": planner["scene"]})
-        group.start("occupancy_predictor", {"listener": "stomp_planner", **predictor})
+        predictor = {"listener": "stomp_planner", **predictor}
+        planner = {"controller": "simulated_arm", **planner}
+        if not one_process:
+            group.start("occupancy_predictor", predictor)
         if alone:
             wait_until_resting(group)
         started_ns = time.time_ns()
-        node = group.start("stomp_planner", {"controller": "simulated_arm", **planner})
+        if one_process:
+            node = group.start(ONE_PROCESS, in_one_process(planner, predictor))
+        else:
+            node = group.start("stomp_planner", planner)
         if alone:
             wait_until_resting(group)
             used = node.usage()
@@ -213,7 +232,7 @@ def together(goals: int, runs: Sequence[tuple[Answers, float, Sequence[NodeUsage
 
 
 def _tables(results: Sequence[dict[str, Any]]) -> Iterator[Table]:
-    delays = [(f"{what}, {result['goals']} goals", result[key]) for result in results for key, what in _DELAYS.items()]
+    delays = [(f"{what}, {_label(result)}", result[key]) for result in results for key, what in _DELAYS.items()]
     yield Table(
         "Milliseconds from a posture's publication to the receipt of its answer by the recorder",
         delays,
@@ -229,7 +248,7 @@ def _tables(results: Sequence[dict[str, Any]]) -> Iterator[Table]:
         "Replanning steps",
         results,
         (
-            Column("goals", lambda row: row["goals"]),
+            Column("", _label),
             Column("taken", lambda row: row["steps"]),
             Column("too late", lambda row: row["late"]),
             Column("skipped", lambda row: row["skipped"]),
@@ -239,7 +258,7 @@ def _tables(results: Sequence[dict[str, Any]]) -> Iterator[Table]:
     )
     yield Table(
         "Nodes",
-        [(f"{node['node']}, {result['goals']} goals", node) for result in results for node in result["usage"]],
+        [(f"{node['node']}, {_label(result)}", node) for result in results for node in result["usage"]],
         (
             Column("node", lambda row: row[0]),
             Column("processor, % of a core", lambda row: row[1]["cpu_percent"], ".0f"),
@@ -251,4 +270,9 @@ def _tables(results: Sequence[dict[str, Any]]) -> Iterator[Table]:
 def _points(results: Sequence[dict[str, Any]]) -> Iterator[tuple[str, int, str, float]]:
     for result in results:
         for key, what in _DELAYS.items():
-            yield "goals", result["goals"], what.strip(), result[key].median
+            one = ", one process" if result["one_process"] else ""
+            yield "goals", result["goals"], f"{what.strip()}{one}", result[key].median
+
+
+def _label(result: Mapping[str, Any]) -> str:
+    return f"{result['goals']} goals{', one process' if result['one_process'] else ''}"
