@@ -76,8 +76,8 @@ class RunFigures:
     evasions: int
     ended: str  #: last decision, with its reason
     step_ms: float  #: median time a replanning step took; machine-dependent
-    #: shares of the time from the person's first posture until the arm rests for good, or until the last posture, in
-    #: which a guard let it move more slowly, and not at all
+    #: shares of the time from the person's first posture until the arm has reached a goal, or until the last posture,
+    #: in which a guard let it move more slowly, and not at all
     slowed: float = 0.0
     stopped: float = 0.0
 
@@ -113,6 +113,7 @@ class RunEvaluator:
         rest_s = executed.rests_since()
         # Nobody saw what happened after the person's last posture.
         goal = goal_reached(self.scene, executed.q_end) if rest_s <= self.t_s[-1] else None
+        until_s = float(self.t_s[-1]) if goal is None else rest_s  # an arm that a guard stopped for good rests, too
         clearance = self.clearance_m(path)
         nearest = min(clearance, key=lambda name: clearance[name])
         # Once both rest, nothing comes closer; the end of the motion counts even if the arm arrives before.
@@ -148,8 +149,8 @@ class RunEvaluator:
             holds=holds,
             evasions=evasions,
             ended=f"{decisions[-1].action}: {decisions[-1].reason}" if decisions else "",
-            slowed=executed.share(min(rest_s, self.t_s[-1]), lambda factor: 0.0 < factor < 1.0),
-            stopped=executed.share(min(rest_s, self.t_s[-1]), lambda factor: factor == 0.0),
+            slowed=executed.share(until_s, lambda factor: 0.0 < factor < 1.0),
+            stopped=executed.share(until_s, lambda factor: factor == 0.0),
             step_ms=1e3 * float(np.median(compute)) if compute else np.nan,
         )
 
