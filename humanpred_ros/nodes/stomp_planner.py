@@ -130,7 +130,7 @@ class StompPlannerNode(CommandingNode):
             with self.replanner.lock:
                 moves = not self.replanner.at_rest(self.now_s())
                 stop = self._hold("the planner is ended")  # nor is what is being planned sent any more
-                if moves:
+                if moves or stop.trajectory is not None:  # one that is yet to begin has been sent, too
                     self.publish(stop, self.last_ns, time.perf_counter())
         self._asked.set()
         for thread in self._threads:
