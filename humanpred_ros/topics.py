@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from humanpred_ros.errors import BagError
 
 OCCUPANCY = "human_occupancy"
+COMPACT_OCCUPANCY = "human_occupancy/compact"
 VOXEL_GRID = "human_occupancy/voxel_grid"
 OCCUPANCY_MARKERS = "human_occupancy/markers"
 HUMAN_GOALS = "human_goals"
@@ -32,9 +33,18 @@ DIAGNOSTICS = "/diagnostics"
 CLOCK = "/clock"
 
 #: What only a robot of ours has: the namespaces in which they are found are those of the robots in a bag.
-_OF_A_ROBOT = (OCCUPANCY, HUMAN_GOALS, TRAJECTORY, DECISION)
+_OF_A_ROBOT = (OCCUPANCY, COMPACT_OCCUPANCY, HUMAN_GOALS, TRAJECTORY, DECISION)
 #: Of the longest relative name.
 _MOST_PARTS = 4
+
+
+def recorded_occupancy(counts: Mapping[str, int]) -> str:
+    """Return the topic of the occupancies in a bag: the compact form where there are any of it, else the clouds.
+
+    Args:
+        counts: number of messages of each topic, by relative names.
+    """
+    return COMPACT_OCCUPANCY if counts.get(COMPACT_OCCUPANCY) else OCCUPANCY
 
 
 def human_joint_states(body_id: str) -> str:

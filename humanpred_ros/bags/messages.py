@@ -21,6 +21,7 @@ from humanpred_ros.errors import BagError, UsageError
 JOINT_STATE = "sensor_msgs/msg/JointState"
 STRING = "std_msgs/msg/String"
 POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
+COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 CLOCK = "rosgraph_msgs/msg/Clock"

@@ -25,7 +25,7 @@ from humanpred_ros.motion.motion import Motion, MotionLibrary, pelvis_columns, r
 from humanpred_ros.resources import share_file
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.viewing.recorded import decision_of
-from humanpred_ros.viewing.run import Entry, stamped, trajectories_by_stamp
+from humanpred_ros.viewing.run import Entry, occupancies, stamped, trajectories_by_stamp
 
 RATE_HZ = 30.0
 #: Where the pelvises of the shipped library's people are in the scene at the start (median), world frame.
@@ -196,7 +196,7 @@ def posture_answers(reader: BagReader) -> tuple[PostureAnswer, ...]:
     postures = list(stamped(reader, topics.body_topic(reader.names, topics.human_joint_states)))
     if not postures:
         raise BagError(f"{reader.path}: wanted a run with postures, got none; did the tracker start?")
-    heard_ns = {entry.stamp_ns: entry.heard_ns for entry in stamped(reader, topics.OCCUPANCY)}
+    heard_ns = {entry.stamp_ns: entry.heard_ns for entry in occupancies(reader)}
     return tuple(PostureAnswer(entry.stamp_ns, entry.sent_ns, heard_ns.get(entry.stamp_ns)) for entry in postures)
 
 

@@ -54,7 +54,7 @@ def packed(occupancy: Occupancy, threshold: float) -> tuple[str, bytes]:
     rows[(x - low[0]) * n_y + (y - low[1]), z - low[2] + 1] = codes_of(occupancy.probability.ravel()[flat])
     packer = zlib.compressobj(1, zlib.DEFLATED, 15, 8, zlib.Z_RLE)
     shape = struct.pack(">IIBBBBB", n_z, n_x * n_y, 8, 0, 0, 0, 0)
-    chunks = ((b"IHDR", shape), (b"IDAT", packer.compress(rows) + packer.flush()), (b"IEND", b""))
+    chunks = ((b"IHDR", shape), (b"IDAT", packer.compress(rows.data) + packer.flush()), (b"IEND", b""))
     image = _SIGNATURE + b"".join(
         struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(data, zlib.crc32(name)))
         for name, data in chunks
@@ -117,7 +117,8 @@ def _same(told: VoxelGrid, grid: VoxelGrid) -> bool:
 
 def _codes(image: bytes, height: int, width: int) -> NDArray[np.uint8]:
     """Return the (height, width) bytes of a PNG image as `packed` writes them."""
-    chunks, at = [], len(_SIGNATURE)
+    chunks: list[bytes] = []
+    at = len(_SIGNATURE)
     while len(chunks) < 3 and at + 12 <= len(image):
         n = int.from_bytes(image[at : at + 4], "big")
         chunk, crc = image[at + 4 : at + 8 + n], image[at + 8 + n : at + 12 + n]

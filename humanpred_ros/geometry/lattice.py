@@ -71,9 +71,9 @@ _ONE_STEP = 1.0 / 255.0
 @lru_cache
 def probability_of_code() -> NDArray[np.float32]:
     """Return the (256,) probabilities that travel, ascending: 0, 1/255, 3/255, 4/255 ... and next to 1, and 1."""
-    table = np.append(0.0, np.arange(1, 256) + 1.0) * _ONE_STEP
-    table[[1, 255]] = _ONE_STEP, 1.0
-    table = table.astype(np.float32)
+    steps = np.append(0.0, np.arange(1, 256) + 1.0) * _ONE_STEP
+    steps[[1, 255]] = _ONE_STEP, 1.0
+    table: NDArray[np.float32] = steps.astype(np.float32)
     table[254] = np.nextafter(np.float32(1.0), np.float32(0.0))
     table.setflags(write=False)
     return table
@@ -93,8 +93,11 @@ def codes_of(probability: NDArray[np.float32]) -> NDArray[np.uint8]:
     Above 2/255 none is rounded down, so that a voxel that reaches a threshold still does; none becomes 0, and 1 stays
     1 and is the only one. Probabilities that were rounded once stay as they are.
     """
-    codes = np.clip(np.ceil(probability * np.float32(255.0) - np.float32(1.0001)), 1.0, 254.0).astype(np.uint8)
-    return np.add(codes, _largest_of_code()[codes] < probability, dtype=np.uint8, casting="unsafe")
+    codes: NDArray[np.uint8] = np.clip(
+        np.ceil(probability * np.float32(255.0) - np.float32(1.0001)), 1.0, 254.0
+    ).astype(np.uint8)
+    codes += _largest_of_code()[codes] < probability
+    return codes
 
 
 _BITS_OF_ONE = np.float32(1.0).view(np.uint32)
@@ -128,7 +131,7 @@ class Occupancy:
         return np.flatnonzero(self.probability.ravel() > threshold).astype(np.int64)
 
     def sparse(self, threshold: float) -> Occupancy:
-        """Return the occupancy as it survives publication: 0 up to `threshold`, others in steps of 1/255 (`codes_of`)."""
+        """Return the occupancy as it survives publication: 0 up to `threshold`, else in steps of 1/255 (`codes_of`)."""
         flat = self.voxels_above(threshold)
         kept = np.zeros(self.grid.size, dtype=np.float32)
         kept[flat] = probability_of_code()[codes_of(self.probability.ravel()[flat])]

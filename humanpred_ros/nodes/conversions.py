@@ -17,7 +17,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from humanpred_ros.errors import ArrayError, PlanningError
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
+from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid, codes_of, probability_of_code
 from humanpred_ros.planning.decision import Decision
 from humanpred_ros.planning.trajectory import TimedTrajectory
 
@@ -117,7 +117,7 @@ def _cloud(columns: NDArray[Any], t_ns: int, frame_id: str) -> PointCloud2:
 
 
 def occupancy_cloud(occupancy: Occupancy, threshold: float, t_ns: int, frame_id: str = "world") -> PointCloud2:
-    """Return the voxel centres with a probability above `threshold` as x, y, z, probability."""
+    """Return what `Occupancy.sparse(threshold)` keeps: voxel centres as x, y, z, probability."""
     flat = occupancy.voxels_above(threshold)
     points = np.empty(len(flat), dtype=[(name, "<f4") for name in ("x", "y", "z", "probability")])
     grid = occupancy.grid
@@ -126,7 +126,7 @@ def occupancy_cloud(occupancy: Occupancy, threshold: float, t_ns: int, frame_id:
     ):
         # As `VoxelGrid.centres_m`, but once for each layer instead of once for each voxel.
         points[name] = (origin_m + (np.arange(n) + 0.5) * grid.resolution_m).astype(np.float32)[index]
-    points["probability"] = occupancy.probability.ravel()[flat]
+    points["probability"] = probability_of_code()[codes_of(occupancy.probability.ravel()[flat])]
     return _cloud(points, t_ns, frame_id)
 
 

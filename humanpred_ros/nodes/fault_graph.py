@@ -61,7 +61,10 @@ _FIRST_START_S, _END_S = 180.0, 10.0
 _BUSY = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
 #: What the nodes on the wire's other side call by its name there.
 _ACROSS: Mapping[str, Sequence[str]] = {
-    PREDICTOR: (topics.OCCUPANCY,), ARM: (topics.TRAJECTORY, topics.JOINT_STATES), TRACKER: (topics.CLOCK,),
+    # Clouds are spoilt; the compact form goes where nobody listens, so that the planner takes the clouds.
+    PREDICTOR: (topics.OCCUPANCY, topics.COMPACT_OCCUPANCY),
+    ARM: (topics.TRAJECTORY, topics.JOINT_STATES),
+    TRACKER: (topics.CLOCK,),
 }  # fmt: skip
 _RELAYED = (POSTURES, topics.OCCUPANCY, topics.JOINT_STATES, topics.TRAJECTORY)
 
@@ -163,7 +166,8 @@ class FaultGraph:
 
     def start(self, node: str) -> None:
         """Start a node, again or once more."""
-        remap = {topic: wired(topic) for topic in _ACROSS.get(node, ()) if topic in self._relayed}
+        relayed = {*self._relayed, *((topics.COMPACT_OCCUPANCY,) if topics.OCCUPANCY in self._relayed else ())}
+        remap = {topic: wired(topic) for topic in _ACROSS.get(node, ()) if topic in relayed}
         parameters = self._parameters(node) | ({"use_sim_time": True} if self._kind == CLOCK else {})
         self._group.start(node, parameters, remap)
 

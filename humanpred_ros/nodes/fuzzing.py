@@ -48,6 +48,7 @@ from humanpred_ros.nodes import (
     conversions,
     guard_listener,
     measured_arm,
+    occupancy_topics,
     seen_people,
     stomp_planner,
 )
@@ -189,7 +190,7 @@ class PredictorTarget(Target):
 
     def open(self, node: Any, bench: Bench) -> None:
         self.clouds: list[Any] = []
-        node.publisher.publish = self.clouds.append
+        node.occupancies.compact.publish = self.clouds.append
         node.marker_publisher.get_subscription_count = lambda: 1
         self.frame = 0
 
@@ -227,7 +228,7 @@ class PredictorTarget(Target):
         )
 
     def answered(self, node: Any) -> tuple[bool, bool]:
-        unknown = [any(field.name.startswith("unknown: ") for field in cloud.fields) for cloud in self.clouds]
+        unknown = [occupancy.format.startswith("unknown: ") for occupancy in self.clouds]
         usual = any(not said for said in unknown)
         self.clouds.clear()
         return usual, any(unknown)
@@ -277,8 +278,12 @@ class PlannerTarget(Target):
             while not self.decisions and time.monotonic() < until_s:
                 time.sleep(1e-4)  # a thread of the planner's answers
 
+        if spoil.rng.random() < 0.5:
+            cloud = occupancy_topics.compact_message(
+                conversions.occupancy_from_cloud(cloud, bench.scene.grid, 0.0), 0.0, t_ns
+            )
         if spoiled:
-            spoil.cloud(cloud)
+            spoil.occupancy(cloud)
             yield Case(show, (cloud,), unusable=self._unusable(cloud, node, now_ns))
         else:
             yield Case(show, (cloud,), good=node.settings.lossless)
@@ -286,11 +291,15 @@ class PlannerTarget(Target):
             yield Case(node.publish_status, ())
 
     def _unusable(self, cloud: Any, node: Any, now_ns: int) -> bool:
-        names = [field.name for field in cloud.fields]
+        if hasattr(cloud, "format"):
+            torn = bool(cloud.data) and bytes(cloud.data[-8:-4]) != b"IEND"
+        else:
+            names = [field.name for field in cloud.fields]
+            torn = any(names.count(name) != 1 for name in ("x", "y", "z", "probability"))
+            torn = torn or len(cloud.data) != cloud.height * cloud.row_step
         return bool(
             cloud.header.frame_id.lstrip("/") != "world"
-            or any(names.count(name) != 1 for name in ("x", "y", "z", "probability"))
-            or len(cloud.data) != cloud.height * cloud.row_step
+            or torn
             or (not node.settings.lossless and conversions.stamp_ns(cloud.header.stamp) - now_ns > 60_000_000)
         )
 

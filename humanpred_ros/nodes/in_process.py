@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from humanpred_ros.nodes.base import GraphNode
 
 #: What is handed over, by relative names.
-HANDED_OVER = (topics.OCCUPANCY,)
+HANDED_OVER = (topics.COMPACT_OCCUPANCY,)
 
 
 class Link:

@@ -156,6 +156,26 @@ class Mutator:
             message,
         )
 
+    def occupancy(self, message: Any) -> None:
+        """Spoil an occupancy of either form."""
+        if hasattr(message, "fields"):
+            self.cloud(message)
+            return
+
+        def number(m: Any) -> None:
+            words = m.format.split(" ")
+            words[int(self.rng.integers(len(words)))] = str(self.one_of((*_SIZES, self.number(), "", "nan", "-1")))
+            m.format = " ".join(words)
+
+        def text(m: Any) -> None:
+            m.format = self.text(m.format)
+
+        def data(m: Any) -> None:
+            m.data = array.array("B", self.raw(bytes(m.data)))
+
+        header = (lambda m: self.stamp(m.header), lambda m: self.frame(m.header))
+        self.some((number, number, text, data, data, *header), message)
+
     def trajectory(self, message: Any) -> None:
         def points(m: Any) -> None:
             way = int(self.rng.integers(4))

@@ -28,6 +28,7 @@ from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.frames import TrackerFrames, tf_lookup
 from humanpred_ros.nodes.lifecycle import NodeSettings
 from humanpred_ros.nodes.markers import occupancy_markers
+from humanpred_ros.nodes.occupancy_topics import OccupancyPublisher
 from humanpred_ros.nodes.parameters import declare, declare_plugin, plugin_parameters
 from humanpred_ros.occupancy.predictor import (
     Prediction,
@@ -155,7 +156,7 @@ class OccupancyPredictorNode(GraphNode):
         self.last_marker_ns = 0
         self.place_warnings: dict[str, str] = {}
 
-        self.publisher = self.create_publisher(PointCloud2, topics.OCCUPANCY, qos.SENSOR_PUBLISHER)
+        self.occupancies = OccupancyPublisher(self)
         self.goal_publisher = self.create_publisher(PointCloud2, topics.HUMAN_GOALS, qos.SENSOR_PUBLISHER)
         self.marker_publisher = self.create_publisher(MarkerArray, topics.OCCUPANCY_MARKERS, qos.MARKERS)
         self.grid_publisher = self.create_publisher(String, topics.VOXEL_GRID, qos.LATCHED)
@@ -261,7 +262,7 @@ class OccupancyPredictorNode(GraphNode):
         return SetParametersResult(successful=True)
 
     def waiting_for(self) -> str:
-        return self.unmatched(self.publisher, self.settings.listener)
+        return self.unmatched(self.occupancies.compact, self.settings.listener)
 
     def working(self) -> str:
         return "predicting" if self.first_ns else super().working()
@@ -294,7 +295,7 @@ class OccupancyPredictorNode(GraphNode):
             self._say_unknown(str(error), stamp_ns)
             return
         self.unknown = ""
-        self.publisher.publish(conversions.occupancy_cloud(prediction.occupancy, self.settings.threshold, stamp_ns))
+        self.occupancies.publish(prediction.occupancy, self.settings.threshold, stamp_ns)
         self._publish_places(prediction, stamp_ns)
         self._look_for_warnings(q, stamp_ns)
         if self.marker_publisher.get_subscription_count() and abs(stamp_ns - self.last_marker_ns) >= _MARKER_PERIOD_NS:
@@ -304,7 +305,7 @@ class OccupancyPredictorNode(GraphNode):
     def _say_unknown(self, reason: str, stamp_ns: int) -> None:
         """Tell whoever plans that nobody knows where people are, and why."""
         self.unknown = reason
-        self.publisher.publish(conversions.unknown_cloud(reason, stamp_ns))
+        self.occupancies.publish_unknown(reason, stamp_ns)
 
     def _believed(self, message: JointState, t_s: float) -> FloatArray:
         """Return the posture (D,) of a message in the tracker's frame of the scene.

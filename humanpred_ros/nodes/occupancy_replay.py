@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from rclpy.duration import Duration
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import JointState, PointCloud2
+from sensor_msgs.msg import JointState
 
 from humanpred_ros import topics
-from humanpred_ros.bags.messages import JOINT_STATE, POINT_CLOUD2
+from humanpred_ros.bags.messages import JOINT_STATE
 from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.errors import BagError
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import entry_point
 from humanpred_ros.nodes.lifecycle import NodeSettings
+from humanpred_ros.nodes.occupancy_topics import FORMS
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.nodes.stepping import SteppedSource
 from humanpred_ros.settings import setting
@@ -38,12 +39,14 @@ class OccupancyReplay(SteppedSource):
     def configure(self) -> None:
         self.settings = settings = declare(self, OccupancyReplaySettings)
         bag = BagReader(settings.bag, settings.bag_namespace or None)
-        for topic, msgtype in ((topics.OCCUPANCY, POINT_CLOUD2), (topics.JOINT_STATES, JOINT_STATE)):
+        self.form = topics.recorded_occupancy({name: bag.topics[full].count for name, full in bag.names.items()})
+        kind = FORMS[self.form]
+        for topic, msgtype in ((self.form, f"sensor_msgs/msg/{kind.__name__}"), (topics.JOINT_STATES, JOINT_STATE)):
             bag.require_topic(topic, msgtype)
         decided = {conversions.stamp_ns(decision.header.stamp) for _, decision in bag.decoded(topics.DECISION)}
         # Decoded twice: what does not decode is refused before ROS, which believes the lengths it finds, sees it.
-        clouds_in_order = (record for record in bag.messages([topics.OCCUPANCY]) if bag.decode(record))
-        recorded = (deserialize_message(record.data, PointCloud2) for record in clouds_in_order)
+        clouds_in_order = (record for record in bag.messages([self.form]) if bag.decode(record))
+        recorded = (deserialize_message(record.data, kind) for record in clouds_in_order)
         clouds = {conversions.stamp_ns(cloud.header.stamp): cloud for cloud in recorded}
         states = bag.messages([topics.JOINT_STATES])
         arm = next((deserialize_message(record.data, JointState) for record in states if bag.decode(record)), None)
@@ -54,7 +57,7 @@ class OccupancyReplay(SteppedSource):
 
     def activate(self) -> None:
         self.next = 0
-        self.publisher = self.create_publisher(PointCloud2, topics.OCCUPANCY, qos.SENSOR_PUBLISHER)
+        self.publisher = self.create_publisher(FORMS[self.form], self.form, qos.SENSOR_PUBLISHER)
         self.arm_publisher = self.create_publisher(JointState, topics.JOINT_STATES, qos.SENSOR_PUBLISHER)
         self.arm_timer = self.create_timer(
             0.1, lambda: self.arm_publisher.publish(self.arm), clock=self._status_timer.clock

@@ -23,6 +23,7 @@ from humanpred_ros.errors import BagError, UsageError
 from humanpred_ros.nodes import qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.lifecycle import NodeSettings
+from humanpred_ros.nodes.occupancy_topics import FORMS, OccupancyInput
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.settings import setting
 
@@ -76,7 +77,6 @@ class RunRecorder(GraphNode):
         self.recorded: list[tuple[str, Any, Any]] = [
             (topics.human_joint_states(body), JointState, qos.LOSSLESS),
             (topics.human_urdf(body), String, qos.LATCHED),
-            (topics.OCCUPANCY, PointCloud2, qos.LOSSLESS),
             (topics.VOXEL_GRID, String, qos.LATCHED),
             (topics.HUMAN_GOALS, PointCloud2, qos.LOSSLESS),
             (topics.DECISION, DiagnosticArray, qos.LOSSLESS),
@@ -92,7 +92,7 @@ class RunRecorder(GraphNode):
                 (topics.CANDIDATES, MarkerArray, qos.LOSSLESS),
                 (topics.ROLLOUTS, MarkerArray, qos.LOSSLESS),
             ]
-        full = {topic: self.resolve_topic_name(topic) for topic, _, _ in self.recorded}
+        full = {topic: self.resolve_topic_name(topic) for topic in (*FORMS, *(topic for topic, _, _ in self.recorded))}
         words = [word.strip() for word in settings.wait_for.replace("<id>", body).split(",") if word.strip()]
         self.wanted = [full.get(word, word) for word in words]
         unknown = [word for word, topic in zip(words, self.wanted, strict=True) if topic not in full.values()]
@@ -110,20 +110,22 @@ class RunRecorder(GraphNode):
         self.writer.add_metadata("run", self.run_info)
         self.writer.add_metadata(TOPICS_RECORD, self.full_names)
         for topic, kind, profile in self.recorded:
-            self._record(self.full_names[topic], kind, profile)
+            self._add(topic, kind, profile)
+            self.listen(kind, topic, partial(self._write, topic), profile, raw=True)
+        for topic, kind in FORMS.items():
+            self._add(topic, kind, qos.LOSSLESS)
+        self.occupancies = OccupancyInput(self, self._write, qos.LOSSLESS, raw=True)
         flush = partial(self._unless_refused, self.writer.flush)
         self.create_timer(_FLUSH_PERIOD_S, flush, clock=self._status_timer.clock)
 
-    def _record(self, topic: str, kind: Any, profile: Any) -> None:
+    def _add(self, topic: str, kind: Any, profile: Any) -> None:
         name = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
-        self.writer.add_topic(topic, name, qos=LATCHED_QOS if profile is qos.LATCHED else DEFAULT_QOS)
+        self.writer.add_topic(self.full_names[topic], name, qos=LATCHED_QOS if profile is qos.LATCHED else DEFAULT_QOS)
 
-        def on_message(data: bytes, info: Any) -> None:
-            # The sender's time is whatever it says.
-            times = info["received_timestamp"], max(info["source_timestamp"], 0)
-            self._unless_refused(self.writer.write, topic, times[0], bytes(data), times[1])
-
-        self.listen(kind, topic, on_message, profile, raw=True)
+    def _write(self, topic: str, data: bytes, info: Any) -> None:
+        # The sender's time is whatever it says.
+        times = info["received_timestamp"], max(info["source_timestamp"], 0)
+        self._unless_refused(self.writer.write, self.full_names[topic], times[0], bytes(data), times[1])
 
     def _unless_refused(self, write: Callable[..., None], *arguments: Any) -> None:
         """Write something; after a refusal by the disk nothing is written any more."""
@@ -145,7 +147,12 @@ class RunRecorder(GraphNode):
         return "recording" if any(heard.came_s for heard in self.inputs.values()) else super().working()
 
     def waiting_for(self) -> str:
-        missing = [topic for topic in self.wanted if not self.inputs[topic].publishers()]
+        forms = {self.full_names[topic] for topic in FORMS}
+        missing = [
+            topic
+            for topic in self.wanted
+            if not (self.occupancies if topic in forms else self.inputs[topic]).publishers()
+        ]
         return f"a publisher of {', '.join(missing)}" if missing else ""
 
     def deactivate(self) -> None:

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import CompressedImage, PointCloud2
 
 from humanpred_ros import topics
 from humanpred_ros.errors import ArrayError, PlanningError
@@ -24,6 +24,7 @@ from humanpred_ros.nodes.base import entry_point
 from humanpred_ros.nodes.commander import OtherCommanders
 from humanpred_ros.nodes.commanding_node import CommandingNode
 from humanpred_ros.nodes.inputs import Input
+from humanpred_ros.nodes.occupancy_topics import OccupancyInput, occupancy_of, says_nobody
 from humanpred_ros.nodes.operator_services import TASK_COSTS, OperatorServices, declare_task_costs, take_parameters
 from humanpred_ros.nodes.parameters import declare, plugin_parameters
 from humanpred_ros.nodes.planner_settings import StompPlannerSettings
@@ -77,7 +78,7 @@ class StompPlannerNode(CommandingNode):
         self.stepped_s = time.monotonic()  # when a replanning step was finished, on a clock that nobody sets
         age_s = math.inf if settings.lossless else settings.max_human_age_s
         profile = qos.sensor_subscription(settings.lossless, newest_only=True)
-        self.listen(PointCloud2, topics.OCCUPANCY, self.on_occupancy, profile, max_age_s=age_s)
+        OccupancyInput(self, self.on_occupancy, profile, max_age_s=age_s)
         self.operator = OperatorServices(self)
         self.answers = Input(topics.DECISION)
         self._closing, self._asked = threading.Event(), threading.Event()
@@ -148,7 +149,7 @@ class StompPlannerNode(CommandingNode):
                 self.publish(self._hold(f"the planner failed: {error}"), self.last_ns, time.perf_counter())
             self.stop_with(PlanningError(f"the planner failed: {error}; please report this with the log"))
 
-    def on_occupancy(self, message: PointCloud2) -> None:
+    def on_occupancy(self, message: PointCloud2 | CompressedImage) -> None:
         """Answer one occupancy with one decision."""
         received_s = time.perf_counter()
         stamp_ns = conversions.stamp_ns(message.header.stamp)
@@ -176,11 +177,11 @@ class StompPlannerNode(CommandingNode):
             return
         t_s = (stamp_ns - self.origin_ns) * 1e-9
         try:
-            occupancy = conversions.occupancy_from_cloud(message, self.scene.grid, t_s)
+            occupancy = occupancy_of(message, self.scene.grid, t_s)
         except ArrayError as error:
             self._answer_with_hold(str(error), stamp_ns, received_s, "invalid human data: ")
             return
-        vanished = self.people.vanished(occupancy, conversions.says_nobody(message))
+        vanished = self.people.vanished(occupancy, says_nobody(message))
         if vanished:
             self._answer_with_hold(vanished, stamp_ns, received_s)
             return

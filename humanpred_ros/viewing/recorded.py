@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from humanpred_ros.bags.messages import ns_from_stamp, point_cloud2_fields
 from humanpred_ros.errors import ArrayError, BagError
 from humanpred_ros.files import json_of
+from humanpred_ros.geometry import compact_occupancy
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
-from humanpred_ros.topics import DECISION, VOXEL_GRID
+from humanpred_ros.topics import COMPACT_OCCUPANCY, DECISION, VOXEL_GRID
 
 _NAN = float("nan")
 #: Probabilities travel as float32; what their sum lacks of 1 by rounding is far less than this.
@@ -232,6 +233,23 @@ def cloud_of(message: Any, *others: str) -> tuple[FloatArray, ...]:
     columns = point_cloud2_fields(message, ("x", "y", "z", *others))
     points = np.stack([columns[name].astype(np.float64) for name in ("x", "y", "z")], axis=1)
     return points, *(columns[name].astype(np.float64) for name in others)
+
+
+def occupied_of(message: Any) -> tuple[FloatArray, FloatArray]:
+    """Return the centres (N, 3), world frame, m, and probabilities (N,) of an occupancy of either form.
+
+    None where nobody knew where people were. Raises BagError.
+    """
+    if not hasattr(message, "format"):
+        points, probability = cloud_of(message, "probability")
+        return points, probability
+    if message.format.startswith(compact_occupancy.UNKNOWN):
+        return np.empty((0, 3)), np.empty(0)
+    try:
+        points, codes = compact_occupancy.voxels(compact_occupancy.unpacked(message.format, bytes(message.data)))
+    except ArrayError as error:
+        raise BagError(f"topic {COMPACT_OCCUPANCY}: {error}") from error
+    return points, codes.astype(np.float64)
 
 
 def grid_of(text: str) -> VoxelGrid:

@@ -175,6 +175,13 @@ def _stamped(bag: BagReader, topic: str | None, msgtype: str, notes: list[str] |
         notes.append(f"{topic}: {backwards} messages with stamps older than earlier ones were left out")
 
 
+def occupancies(bag: BagReader, notes: list[str] | None = None) -> Iterator[Entry]:
+    """Yield the occupancies of a bag, in the form it holds, as `_stamped`."""
+    topic = topics.recorded_occupancy({name: bag.topics[full].count for name, full in bag.names.items()})
+    msgtype = messages.COMPRESSED_IMAGE if topic == topics.COMPACT_OCCUPANCY else messages.POINT_CLOUD2
+    return _stamped(bag, topic, msgtype, notes)
+
+
 def _text(bag: BagReader, topic: str | None) -> str:
     """Return the first text of a String topic, empty if there is none."""
     texts = bag.decoded(topic) if topic and bag.find(topic) else iter(())
@@ -244,8 +251,8 @@ class _Occupancies:
         self.entries: list[Entry] = []  # with the probabilities alone as messages
         self.clouds: dict[int, tuple[FloatArray, ...]] = {}
         n_past = 0
-        for entry in _stamped(bag, topics.OCCUPANCY, messages.POINT_CLOUD2, notes):
-            stamp, cloud = entry.stamp_ns, recorded.cloud_of(entry.message, "probability")
+        for entry in occupancies(bag, notes):
+            stamp, cloud = entry.stamp_ns, recorded.occupied_of(entry.message)
             self.entries.append(entry._replace(message=(len(cloud[1]), float(cloud[1].sum()))))
             if (n_due := bisect_right(due_ns, stamp)) > n_past:  # the first one at or after every due time
                 self.sampled.add(stamp)

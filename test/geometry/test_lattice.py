@@ -48,11 +48,11 @@ def test_mask_marks_voxels_with_points_once() -> None:
 
 def test_sparse_keeps_what_exceeds_the_threshold() -> None:
     probability = np.zeros(GRID.shape, dtype=np.float32)
-    probability.ravel()[[3, 50, 51]] = [0.2, 0.5, 0.7]
+    probability.ravel()[[3, 50, 51]] = [0.2, 0.6, 0.8]
     occupancy = Occupancy(GRID, probability, 1.25)
-    np.testing.assert_array_equal(occupancy.voxels_above(0.5), [51])
+    np.testing.assert_array_equal(occupancy.voxels_above(0.7), [51])
     kept = occupancy.sparse(0.2)
-    assert (kept.t_s, kept.probability.sum()) == (1.25, pytest.approx(1.2))
+    assert (kept.t_s, kept.probability.sum()) == (1.25, pytest.approx(1.4))
 
 
 @pytest.mark.parametrize("value", [-0.1, 1.1, np.nan])

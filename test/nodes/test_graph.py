@@ -36,7 +36,7 @@ from humanpred_ros.robot.scene import load_scene
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
 from humanpred_ros import topics
-from humanpred_ros.nodes import conversions
+from humanpred_ros.nodes import conversions, occupancy_topics
 from humanpred_ros.nodes.planner_settings import StompPlannerSettings
 
 LABEL, INDEX = 3, 2
@@ -72,7 +72,8 @@ def by_stamp(bag: BagReader, topic: str) -> dict[int, Any]:
 def test_every_posture_arrives_and_is_answered_once(bag: BagReader, motion: Motion) -> None:
     stamps = list(by_stamp(bag, POSTURES))
     assert len(stamps) == bag.require_topic(POSTURES).count >= len(motion)
-    assert list(by_stamp(bag, topics.OCCUPANCY)) == stamps
+    assert list(by_stamp(bag, topics.COMPACT_OCCUPANCY)) == stamps
+    assert not bag.require_topic(topics.OCCUPANCY).count
     assert list(by_stamp(bag, topics.HUMAN_GOALS)) == stamps
     decisions = by_stamp(bag, topics.DECISION)
     assert list(decisions) == stamps
@@ -101,12 +102,12 @@ def test_occupancy_and_posterior_are_those_of_the_library_called_directly(run: P
     predictor = make_predictor(
         OPTIONS.predictor, PredictorRequest(human, scene.grid, scene.T_world_human, model, onsets=True)
     )
-    clouds, goals = by_stamp(bag, topics.OCCUPANCY), by_stamp(bag, topics.HUMAN_GOALS)
+    clouds, goals = by_stamp(bag, topics.COMPACT_OCCUPANCY), by_stamp(bag, topics.HUMAN_GOALS)
     origin_ns = next(iter(clouds))
     for stamp, message in by_stamp(bag, POSTURES).items():
         prediction = predictor.update(np.array(message.position), (stamp - origin_ns) * 1e-9)
         expected = prediction.occupancy.sparse(OPTIONS.threshold).probability
-        came = conversions.occupancy_from_cloud(clouds[stamp], scene.grid, 0.0).probability
+        came = occupancy_topics.occupancy_of(clouds[stamp], scene.grid, 0.0).probability
         np.testing.assert_array_equal(came, expected)
         assert expected.max() == 1.0  # the body is where it is
         assert prediction.posterior is not None

@@ -32,7 +32,7 @@ from rclpy.time import Time
 from sensor_msgs.msg import JointState
 
 from humanpred_ros import topics
-from humanpred_ros.nodes import conversions, qos
+from humanpred_ros.nodes import conversions, occupancy_topics, qos
 from humanpred_ros.nodes.frames import pose_matrix, tf_lookup
 from humanpred_ros.nodes.lifecycle import started
 from humanpred_ros.nodes.occupancy_predictor import OccupancyPredictorNode
@@ -81,18 +81,18 @@ class PredictorWithClock:
 
     def __init__(self, make: Callable[..., Any], **parameters: str) -> None:
         self.node = make(OccupancyPredictorNode, {"predictor": "current", "use_sim_time": "true", **parameters})
-        self.node.publisher.publish = self._take
+        self.node.occupancies.compact.publish = self._take
         self.node.steady_s = lambda: self.now_s
         self.now_s, self.rng = 0.0, np.random.default_rng(0)
         self.said: list[str] = []
 
     def _take(self, message: Any) -> None:
         try:
-            conversions.occupancy_from_cloud(message, SCENE.grid, 0.0)
+            occupancy_topics.occupancy_of(message, SCENE.grid, 0.0)
         except ArrayError as error:
             self.said.append(str(error).removeprefix("where people are is not known: "))
         else:
-            assert message.width, "an empty occupancy"
+            assert message.data, "an empty occupancy"
             self.said.append("")
 
     def see(
@@ -167,7 +167,7 @@ def test_where_tf_is_postures_of_other_frames_are_where_it_says(ros: Callable[..
     predictor = PredictorWithClock(ros)
     clouds: list[Any] = []
     take = predictor._take
-    predictor.node.publisher.publish = lambda message: (clouds.append(message), take(message))
+    predictor.node.occupancies.compact.publish = lambda message: (clouds.append(message), take(message))
     assert predictor.see(0.0) == ""
     # The same person, seen by a camera that stands elsewhere.
     T_world_camera = SCENE.T_world_human @ turn_and_shift(0.7, (0.5, -0.3, 0.2))
@@ -181,7 +181,7 @@ def test_where_tf_is_postures_of_other_frames_are_where_it_says(ros: Callable[..
     predictor.node.frames.lookup = lookup
     seen = placed_postures(POSTURE, HUMAN.dof_names, np.linalg.inv(turn_and_shift(0.7, (0.5, -0.3, 0.2))))
     assert predictor.see(0.1, q=seen, frame_id="camera") == ""
-    first, second = (conversions.occupancy_from_cloud(cloud, SCENE.grid, 0.0).probability for cloud in clouds)
+    first, second = (occupancy_topics.occupancy_of(cloud, SCENE.grid, 0.0).probability for cloud in clouds)
     assert (first != second).sum() < 0.01 * first.sum()  # rounding puts a few points into the next voxel
     said = [predictor.see(0.2 + k / 10, frame_id=frame) for k, frame in enumerate(("tilted", "map", ""))]
     assert [kind(one) for one in said] == ["wrong frame"] * 3
