@@ -73,7 +73,8 @@ def test_every_posture_arrives_and_is_answered_once(bag: BagReader, motion: Moti
     stamps = list(by_stamp(bag, POSTURES))
     assert len(stamps) == bag.require_topic(POSTURES).count >= len(motion)
     assert list(by_stamp(bag, topics.COMPACT_OCCUPANCY)) == stamps
-    assert not bag.require_topic(topics.OCCUPANCY).count
+    # Clouds are listened to until the publisher of the compact form is found.
+    assert bag.require_topic(topics.OCCUPANCY).count < 0.2 * len(stamps)
     assert list(by_stamp(bag, topics.HUMAN_GOALS)) == stamps
     decisions = by_stamp(bag, topics.DECISION)
     assert list(decisions) == stamps
