@@ -229,7 +229,7 @@ def test_predictor_and_planner_in_one_process_decide_the_same(run: Path, bag: Ba
     one = BagReader(folder / "bag")
     assert compare_bags(bag, one).differing == ()
     # Everybody else gets the same as from two processes.
-    for topic in (topics.OCCUPANCY, topics.HUMAN_GOALS):
+    for topic in (topics.COMPACT_OCCUPANCY, topics.HUMAN_GOALS):
         ours, theirs = ([bytes(m.data) for m in by_stamp(b, topic).values()] for b in (bag, one))
         assert ours == theirs
 
