@@ -131,7 +131,7 @@ class Bench:
                 (topics.DECISION, "diagnostic_msgs/msg/DiagnosticArray"),
                 (topics.JOINT_STATES, "sensor_msgs/msg/JointState"),
             ):
-                bag.add_topic(topic, kind)
+                bag.add_topic(f"/{topic}", kind)
             for k, cloud in enumerate(self.clouds):
                 t_ns = _START_NS + k * STEP_NS
                 for topic, message in (
@@ -139,7 +139,7 @@ class Bench:
                     (topics.OCCUPANCY, stamped(cloud, t_ns)),
                     (topics.DECISION, decision(t_ns)),
                 ):
-                    bag.write(topic, t_ns, serialize_message(message))
+                    bag.write(f"/{topic}", t_ns, serialize_message(message))
         return path
 
 

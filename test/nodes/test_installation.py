@@ -225,7 +225,10 @@ def test_every_executable_joins_the_graph(install: Path, environment: dict[str, 
         assert {name: interrupted(process) for name, process in processes.items()} == dict.fromkeys(graph, 0)
     with running(install, environment, {"occupancy_replay": ["bag:=bag"]}) as processes:
         wait_until(lambda: diagnostics.heard("occupancy_replay"), "occupancy_replay on /diagnostics")
-        assert diagnostics.last["occupancy_replay"] == f"waiting for stomp_planner to subscribe to /{topics.OCCUPANCY}"
+        assert (
+            diagnostics.last["occupancy_replay"]
+            == f"waiting for stomp_planner to subscribe to /{topics.COMPACT_OCCUPANCY}"
+        )
         assert interrupted(processes["occupancy_replay"]) == 0
 
 
