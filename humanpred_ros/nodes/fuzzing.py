@@ -259,6 +259,7 @@ class PlannerTarget(Target):
         self.decisions: list[Any] = []
         node.decision_publisher.publish = self.decisions.append
         node.commander.send = lambda message: None
+        node.others.looking = lambda: False  # nobody else commands this arm, and seconds are many messages
 
     def cases(self, node: Any, bench: Bench, spoil: Mutator, spoiled: bool, now_ns: int) -> Iterator[Case]:
         at = bench.scene.start if not node.begun else node.replanner.state_at((now_ns - node.origin_ns) * 1e-9)[0]
