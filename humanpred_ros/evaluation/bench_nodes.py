@@ -33,6 +33,7 @@ _STAND_M = (-0.08, -1.31, 0.91)
 _STARTED, _READY, _PLANNER = "replay starts", "ready", "stomp_planner"
 #: Nodes of executables that are more than one.
 _NODES_OF = {ONE_PROCESS: "occupancy_predictor,stomp_planner"}
+_GUARD_VALUES = "posture_to_factor_ms/"
 #: Stamps are rounded to nanoseconds; steps are due this much early, as in the replanner.
 _DUE_TOLERANCE_S = 1e-6
 #: The first start on a machine compiles the kernels.
@@ -113,7 +114,7 @@ def write_motion(folder: Path, library: MotionLibrary, motion: Motion, seconds: 
     return write_library_bag(played, folder)
 
 
-def replay(group: NodeGroup, motion: Path) -> tuple[NodeUsage, ...]:
+def replay(group: NodeGroup, motion: Path, listener: str = "occupancy_predictor") -> tuple[NodeUsage, ...]:
     """Replay the one motion of a bag to the nodes of a group, once they are ready; return what each used meanwhile.
 
     Raises:
@@ -126,7 +127,7 @@ def replay(group: NodeGroup, motion: Path) -> tuple[NodeUsage, ...]:
             "trajectory": "0",
             "hold_last_s": 0.0,
             "wait_for": ",".join(_NODES_OF.get(node.name, node.name) for node in group.nodes),
-            "listener": "occupancy_predictor",
+            "listener": listener,
             "ready_timeout_s": _READY_LIMIT_S,
         },
     )
@@ -172,6 +173,23 @@ def wait_until_resting(group: NodeGroup) -> None:
             return
         before = used
         time.sleep(_RESTING_S)
+
+
+def guard_delays_ms(bag: Path) -> dict[str, float]:
+    """Return what the separation guard said last of how long it took from a posture's publication to its factor.
+
+    Returns:
+        `median`, `p99` and `most` in ms, and of how many postures, `n`; empty if it said nothing.
+
+    Raises:
+        BagError: a damaged bag.
+    """
+    found: dict[str, float] = {}
+    for entry in stamped(BagReader(bag), topics.DIAGNOSTICS):
+        for status in entry.message.status:
+            said = {value.key: value.value for value in status.values if value.key.startswith(_GUARD_VALUES)}
+            found = {key.removeprefix(_GUARD_VALUES): float(text) for key, text in said.items()} or found
+    return found
 
 
 class PostureAnswer(NamedTuple):

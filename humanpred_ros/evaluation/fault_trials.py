@@ -29,8 +29,8 @@ _SAME_TIME_S = 0.05
 _LATELY_S = 1.0
 #: A hold may be so much older than what /diagnostics says, s: it is published five times a second.
 _STATUS_S = 0.5
-#: How a row ends.
-HOLDS, GOES_ON, OPEN = "holds", "goes on", "open"
+#: How a row ends: the planner holds; the arm works on; it is stopped by whomever; only measured.
+HOLDS, GOES_ON, STOPS, OPEN = "holds", "goes on", "stops", "open"
 
 
 class TimedText(NamedTuple):
@@ -168,7 +168,7 @@ class Trial:
 class Bounds:
     """What is asked of a trial."""
 
-    outcome: str  #: HOLDS, GOES_ON, or OPEN: only measured
+    outcome: str  #: HOLDS, GOES_ON, STOPS or OPEN
     reasons: tuple[str, ...]  #: one of these must be part of what is said
     rest_s: float | None  #: longest time to rest; None asks for none
     data_age_s: float | None  #: greatest age of the data on which the arm moves; None does not look
@@ -217,7 +217,7 @@ def _problems(trial: Trial, bounds: Bounds, holds: Sequence[TimedText]) -> Any:
         yield f"wanted a hold that says {wanted}, got {'; '.join(other) or 'none'}"
     elif bounds.reasons and not trial.reason:
         yield f"nobody said {wanted}"
-    if bounds.outcome == HOLDS and bounds.rest_s is not None:
+    if bounds.outcome in (HOLDS, STOPS) and bounds.rest_s is not None:
         if trial.rest_s is None:
             yield "the arm did not come to rest"
         elif trial.rest_s > bounds.rest_s:

@@ -1,9 +1,9 @@
 """The faults of `humanpred bench faults`: what each does to the graph, and what must follow.
 
 A fault is put in while the arm moves, and taken away again; then the arm must work on, and the same fault is put in
-once more. Three graphs are used: `direct`, whose nodes talk to each other; `relayed`, where what tracker, predictor,
+once more. Four graphs are used: `direct`, whose nodes talk to each other; `relayed`, where what tracker, predictor,
 arm and planner send passes through a node of the bench's that spoils it; and `clock`, in simulated time that the bench
-can set.
+can set; `guarded` is `direct` with a separation guard, which sees the person through the bench.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from humanpred_ros import topics
-from humanpred_ros.evaluation.fault_trials import GOES_ON, HOLDS, OPEN
+from humanpred_ros.evaluation.fault_trials import GOES_ON, HOLDS, STOPS
 from humanpred_ros.evaluation.processes import ParameterValue
 from humanpred_ros.evaluation.spoilt_messages import (
     ANGLES,
@@ -48,11 +48,23 @@ from humanpred_ros.evaluation.spoilt_messages import (
 from humanpred_ros.geometry.lattice import VoxelGrid
 
 TRACKER, PREDICTOR, PLANNER = "skeleton_tracker_replay", "occupancy_predictor", "stomp_planner"
-ARM, RECORDER = "simulated_arm", "run_recorder"
+ARM, RECORDER, GUARD = "simulated_arm", "run_recorder", "separation_guard"
 #: Names of the nodes for people.
-NODES = {TRACKER: "tracker", PREDICTOR: "predictor", PLANNER: "planner", ARM: "arm driver", RECORDER: "recorder"}
+NODES = {
+    TRACKER: "tracker",
+    PREDICTOR: "predictor",
+    PLANNER: "planner",
+    ARM: "arm driver",
+    RECORDER: "recorder",
+    GUARD: "guard",
+}
 POSTURES = topics.human_joint_states("body_0")
-DIRECT, RELAYED, CLOCK = "direct", "relayed", "clock"
+#: The person for the guard alone.
+WATCHED = topics.human_joint_states("watched")
+DIRECT, RELAYED, CLOCK, GUARDED = "direct", "relayed", "clock", "guarded"
+#: A hold follows when human data or joint states are so old (defaults of the nodes), s; and a stop when the guard has
+#: heard nothing for so long, or nobody has heard the guard.
+MAX_AGE_S, GUARD_S = 0.5, 0.3
 #: Body that the tracker tells of where its postures are relayed.
 TRACKED_BODY = "tracked"
 
@@ -86,6 +98,9 @@ class Graph(Protocol):
     def work(self, processes: int) -> None:
         """Let so many processes do nothing but work; 0 ends them."""
 
+    def publish_factor(self, on: bool) -> None:
+        """Publish a speed factor beside the guard's, or no longer."""
+
     def fill_disk(self) -> None:
         """Let no file of the recorder grow any further."""
 
@@ -95,7 +110,7 @@ class Fault:
     """Something that goes wrong."""
 
     name: str
-    graph: str  #: DIRECT, RELAYED or CLOCK
+    graph: str  #: DIRECT, RELAYED, CLOCK or GUARDED
     begin: Callable[[Graph], object]
     end: Callable[[Graph], object]
     expected: str  #: what must follow, for people
@@ -105,11 +120,14 @@ class Fault:
     lasts_s: float = 1.2  #: how long the fault is there at least
     patience_s: float = 3.0  #: how much longer it may be there until what is expected has happened
     joins: str = ""  #: node that is started again, and must have spoken before the graph is what it was
+    noticed_s: float = MAX_AGE_S  #: the arm has to rest so soon and its stopping time, s
     data_age_s: float | None = None  #: greatest age of the data on which the arm may move meanwhile
 
 
 def wired(topic: str) -> str:
     """Return the name under which a relayed topic goes to or comes from the node on the wire's other side."""
+    if topic == WATCHED:
+        return POSTURES
     return topic.replace("body_0", TRACKED_BODY) if topic == POSTURES else f"wire/{topic.lstrip('/')}"
 
 
@@ -132,7 +150,7 @@ def _killed(node: str, *reasons: str, **more: Any) -> Fault:
     what = {HOLDS: "hold; works on when another has joined", GOES_ON: "the arm works on; its bag loses at most 1 s"}
     expected = more.pop("expected", what.get(more.get("outcome", HOLDS), ""))
     return Fault(
-        f"{NODES[node]} killed and another joins late", DIRECT,
+        f"{NODES[node]} killed and another joins late", more.pop("graph", DIRECT),
         partial(_signal, node, signal.SIGKILL), lambda g: g.start(node), expected, reasons, lasts_s=3.0,
         joins=node, **more,
     )  # fmt: skip
@@ -142,7 +160,7 @@ def _stopped(node: str, *reasons: str, **more: Any) -> Fault:
     what = {HOLDS: "hold", GOES_ON: "the arm works on"}
     expected = more.pop("expected", what.get(more.get("outcome", HOLDS), ""))
     return Fault(
-        f"{NODES[node]} stopped for 2 s", DIRECT, partial(_signal, node, signal.SIGSTOP),
+        f"{NODES[node]} stopped for 2 s", more.pop("graph", DIRECT), partial(_signal, node, signal.SIGSTOP),
         partial(_signal, node, signal.SIGCONT), expected, reasons, lasts_s=2.0, patience_s=0.0,
         **more,
     )  # fmt: skip
@@ -173,7 +191,8 @@ def _of_arm(name: str, parameter: str, value: ParameterValue, usual: ParameterVa
     )  # fmt: skip
 
 
-_OPEN: Mapping[str, Any] = {"outcome": OPEN, "expected": "open: needs a guard outside the planner"}
+_GUARDED: Mapping[str, Any] = {"graph": GUARDED, "noticed_s": GUARD_S}
+_STOPS: Mapping[str, Any] = {**_GUARDED, "outcome": STOPS, "expected": "the guard stops the arm; works on afterwards"}
 _WORKS_ON: Mapping[str, Any] = {"outcome": GOES_ON, "rests": False}
 _NO_CLOUD = ("stale human data",)
 _CANNOT_BE = ("too large", "outside the lattice", "joint limit", "units", "jump")
@@ -184,12 +203,12 @@ FAULTS: tuple[Fault, ...] = (
     # Nodes that die, hang, come back and join late.
     _killed(TRACKER, *_NO_CLOUD),
     _killed(PREDICTOR, *_NO_CLOUD),
-    _killed(PLANNER, **_OPEN, patience_s=20.0),
+    _killed(PLANNER, "silent planner", **_STOPS),
     _killed(ARM, "silent arm", expected="hold; works on, from where the new one is"),
     _killed(RECORDER, **_WORKS_ON),
     _stopped(TRACKER, *_NO_CLOUD),
     _stopped(PREDICTOR, *_NO_CLOUD),
-    _stopped(PLANNER, **_OPEN),
+    _stopped(PLANNER, "silent planner", **_STOPS),
     _stopped(ARM, *_SILENT_OR_ASTRAY),
     _stopped(RECORDER, **_WORKS_ON),
     _restarted(TRACKER, *_NO_CLOUD),
@@ -197,6 +216,13 @@ FAULTS: tuple[Fault, ...] = (
     _restarted(PLANNER, "the planner is ended", expected="stops the arm before it ends; goes on from where it is"),
     _restarted(ARM, *_SILENT_OR_ASTRAY),
     _restarted(RECORDER, **_WORKS_ON),
+    _killed(GUARD, "guard silent", **_GUARDED),
+    _stopped(GUARD, "guard silent", **_GUARDED),
+    _of_message("person lost for the guard", WATCHED, lost, "stale human data: watched", **_GUARDED),
+    Fault(
+        "somebody else publishes a speed factor", GUARDED, lambda g: g.publish_factor(True),
+        lambda g: g.publish_factor(False), "hold that names it", ("two speed factors", "two guards"),
+    ),
     Fault(
         "disk full", DIRECT, lambda g: g.fill_disk(), partial(_restart, RECORDER),
         "the arm works on; told on /diagnostics; what is there stays readable", ("not recording",), **_WORKS_ON,

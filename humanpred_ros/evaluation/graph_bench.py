@@ -7,6 +7,7 @@ scene's start. The first run of each also measures how long the planner's node t
 from __future__ import annotations
 
 import json
+import math
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,12 +17,14 @@ from typing import Any
 
 import numpy as np
 
+from humanpred_ros import topics
 from humanpred_ros.errors import SettingsError, UsageError
 from humanpred_ros.evaluation.bench_nodes import (
     RATE_HZ,
     Answers,
     NodeUsage,
     answers_of,
+    guard_delays_ms,
     replay,
     wait_until_resting,
     write_motion,
@@ -42,6 +45,7 @@ from humanpred_ros.settings import setting, setting_of
 from humanpred_ros.stomp.config import StompConfig
 
 _LIBRARY, _TRAJECTORY = "synthetic_reaches", "3/2"
+_UNHEARD = {topic: f"unheard/{topic}" for topic in (topics.SPEED_FACTOR, topics.GUARD_STOP)}
 _DELAYS = {
     "occupancy_ms": "posture to occupancy",
     "step_ms": "posture to decision",
@@ -90,6 +94,7 @@ def measure(settings: GraphBenchSettings, begin: Begin) -> Report:
         folder = (settings.keep or Path(temporary)).resolve()
         folder.mkdir(parents=True, exist_ok=True)
         results = list(_results(settings, folder, begin))
+        alone = _guard_alone(folder / "guard_alone", folder / "back_and_forth", results[0]["scene"])
     ready = {
         name: float(np.median([result[name] for result in results if not result["one_process"]]))
         for name in ("ready_s", "ready_cpu_s")
@@ -98,8 +103,8 @@ def measure(settings: GraphBenchSettings, begin: Begin) -> Report:
         f"{RATE_HZ:.0f} postures a second, {settings.waypoints} waypoints, {settings.iterations} iterations x "
         f"{settings.rollouts} rollouts, replanning every {1e3 * settings.period:.0f} ms; {settings.runs} runs of "
         f"{settings.seconds:g} s",
-        tuple(_tables(results)),
-        {"rate_hz": RATE_HZ, "results": results, **ready, "other_cores": load.other_cores()},
+        (*_tables(results), _guard_table(results, alone)),
+        {"guard_alone": alone, "rate_hz": RATE_HZ, "results": results, **ready, "other_cores": load.other_cores()},
         (
             f"Planner's node ready {ready['ready_s']:.1f} s after its start, {ready['ready_cpu_s']:.1f} s of them at "
             "work.",
@@ -130,7 +135,7 @@ def _results(settings: GraphBenchSettings, folder: Path, begin: Begin) -> Iterat
     }
     for goals, one_process in product(settings.goals, (False, True) if settings.one_process else (False,)):
         scene = {"scene": str(write_scene(folder / f"{goals}_goals.yaml", goals))}
-        runs = []
+        runs, guard = [], []
         advance = begin(f"runs with {goals} goals", settings.runs)
         name = f"{goals}_goals{'_in_one_process' if one_process else ''}"
         for k in range(settings.runs):
@@ -144,8 +149,9 @@ def _results(settings: GraphBenchSettings, folder: Path, begin: Begin) -> Iterat
             )
             bag = folder / f"{name}_{k}" / "bag"
             runs.append((answers_of(bag, settings.period, started_ns), cpu_s, usage))
+            guard.append(guard_delays_ms(bag))
             advance(k + 1)
-        yield {**together(goals, runs), "one_process": one_process}
+        yield {**together(goals, runs), "one_process": one_process, "guard": guard, "scene": scene["scene"]}
 
 
 def _run_graph(
@@ -180,6 +186,8 @@ def _run_graph(
             "run_recorder", {"output": str(folder / "bag"), "stay": False, "run_info": json.dumps({"bench": "graph"})}
         )
         group.start("simulated_arm", {"scene": planner["scene"]})
+        # Beside the graph, which does not hear it: an arm that it stops gives no figures.
+        group.start("separation_guard", {"scene": planner["scene"]}, _UNHEARD)
         predictor = {"listener": "stomp_planner", **predictor}
         planner = {"controller": "simulated_arm", **planner}
         if not one_process:
@@ -197,6 +205,34 @@ def _run_graph(
             ready_cpu_s = used.cpu_s if used is not None else ready_cpu_s
         usage = replay(group, motion)
     return started_ns, ready_cpu_s, usage
+
+
+def _guard_alone(folder: Path, motion: Path, scene: str) -> list[dict[str, float]]:
+    """Return how soon a separation guard answers that has the machine to itself and the tracker, recorder and arm."""
+    folder.mkdir(parents=True)
+    with NodeGroup(folder / "logs", free_domain_id()) as group:
+        needed = topics.JOINT_STATES
+        group.start("run_recorder", {"output": str(folder / "bag"), "stay": False, "wait_for": needed})
+        group.start("simulated_arm", {"scene": scene})
+        group.start("separation_guard", {"scene": scene}, _UNHEARD)
+        replay(group, motion, listener="separation_guard")
+    return [guard_delays_ms(folder / "bag")]
+
+
+def _guard_table(results: Sequence[dict[str, Any]], alone: Sequence[dict[str, float]]) -> Table:
+    """Return the guard's figures: of several runs the median of the medians, and the largest of the others."""
+    rows = [("no planner", alone), *((f"{result['goals']} goals", result["guard"]) for result in results)]
+    return Table(
+        "Separation guard: milliseconds from a posture's publication to that of the speed factor",
+        [(name, [run for run in runs if run]) for name, runs in rows],
+        (
+            Column("", lambda row: row[0]),
+            Column("median", lambda row: float(np.median([run["median"] for run in row[1]])), ".2f"),
+            Column("99 %", lambda row: max((run["p99"] for run in row[1]), default=math.nan), ".2f"),
+            Column("most", lambda row: max((run["most"] for run in row[1]), default=math.nan), ".2f"),
+            Column("n", lambda row: sum(int(run["n"]) for run in row[1])),
+        ),
+    )
 
 
 def together(goals: int, runs: Sequence[tuple[Answers, float, Sequence[NodeUsage]]]) -> dict[str, Any]:

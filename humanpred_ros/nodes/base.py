@@ -100,6 +100,7 @@ class GraphNode(ManagedNode):
 
         def on_message(message: Any, info: Any) -> None:
             came_s = time.monotonic()
+            heard.sent_ns = info["source_timestamp"]
             if (callback(message, info) if raw else callback(message)) is not False:
                 # The middleware's time of receipt: a message may have waited for the node.
                 heard.handled(came_s, max(time.time_ns() - info["received_timestamp"], 0) * 1e-9)

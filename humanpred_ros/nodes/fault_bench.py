@@ -3,7 +3,7 @@
 The nodes are processes of their own that talk over DDS on this machine, in real time. A person reaches to two places in
 turn, so that the arm is on its way from one to the other. A row fails if the planner does not hold with the reason that
 is expected, if the arm does not rest in time, if a trajectory begins farther from the arm than the tolerance, or if the
-arm does not work again afterwards. What only a guard outside the planner can catch is measured and called open.
+arm does not work again afterwards. What only a guard outside the planner can catch is tried with one.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ import numpy as np
 from rich.console import Console
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.fault_trials import GOES_ON, HOLDS, OPEN, Bounds, Trial, judged
-from humanpred_ros.evaluation.faults import CLOCK, DIRECT, FAULTS, RELAYED, SHORT, Fault
+from humanpred_ros.evaluation.fault_trials import GOES_ON, HOLDS, OPEN, STOPS, Bounds, Trial, judged
+from humanpred_ros.evaluation.faults import CLOCK, DIRECT, FAULTS, GUARD_S, GUARDED, MAX_AGE_S, RELAYED, SHORT, Fault
 from humanpred_ros.evaluation.framework import Begin, Column, OutputSettings, Report, Table, chosen_names, present
 from humanpred_ros.evaluation.outputs import check_writable
 from humanpred_ros.evaluation.timing import MachineLoad
@@ -33,8 +33,6 @@ from humanpred_ros.settings import setting
 if TYPE_CHECKING:
     from humanpred_ros.nodes.fault_graph import FaultGraph
 
-#: A hold follows when human data or joint states are so old (defaults of the nodes), s.
-MAX_AGE_S = 0.5
 #: The fastest joint of the arm, rad/s, and the acceleration it brakes with, rad/s².
 _FASTEST, _BRAKING = 0.36, 4.0
 #: The arm's stopping time: it levels off, then takes 1.5 times what the acceleration limit allows; and the periods of
@@ -89,8 +87,8 @@ class Row:
             return "; ".join(problems)
         if self.fault.outcome == OPEN:
             return "nothing stops the arm; it goes on to the end of its trajectory"
-        if self.fault.outcome == HOLDS:
-            return "hold"
+        if self.fault.outcome in (HOLDS, STOPS):
+            return "hold" if self.fault.outcome == HOLDS else "the arm is stopped"
         return "the arm works on"
 
     @property
@@ -183,7 +181,7 @@ def _try_all(faults: Sequence[Fault], folder: Path, begin: Begin, rows: list[Row
     advance = begin("faults", len(faults))
     inputs = Inputs(folder)
     travelled_rad, starts = 0.0, 0
-    for kind in (DIRECT, RELAYED, CLOCK):
+    for kind in (DIRECT, RELAYED, CLOCK, GUARDED):
         left = [fault for fault in faults if fault.graph == kind]
         while left:
             starts, intact = starts + 1, True
@@ -213,7 +211,11 @@ def tried(fault: Fault, graph: FaultGraph) -> Trial:
     if not wire.wait(lambda: heard.under_way(time.monotonic(), _UNDER_WAY_S), _MOVING_LIMIT_S):
         return Trial.not_begun(f"the arm was not on its way within {_MOVING_LIMIT_S:.0f} s")
     bounds = Bounds(
-        fault.outcome, fault.reasons, MAX_AGE_S + STOPPING_S if fault.rests else None, fault.data_age_s, GAP_RAD
+        fault.outcome,
+        fault.reasons,
+        fault.noticed_s + STOPPING_S if fault.rests else None,
+        fault.data_age_s,
+        GAP_RAD,
     )
     heard.forget()
     began_s = time.monotonic()
@@ -265,11 +267,11 @@ def page(rows: Sequence[Row], notes: Sequence[str]) -> str:
         "",
         f"{_count(rows)}. Asked for: the reason that is expected; rest within {MAX_AGE_S + STOPPING_S:.2f} s, which is "
         f"{MAX_AGE_S:g} s without usable data and the arm's stopping time at the speed used (a tenth of the velocity "
-        f"limits; more at more); no trajectory that begins farther than {GAP_RAD:.2f} rad from where the arm is; work "
+        f"limits; more at more), and {GUARD_S + STOPPING_S:.2f} s where a guard counts; no "
+        f"trajectory that begins farther than {GAP_RAD:.2f} rad from where the arm is; work "
         "again afterwards. Times are those of the first and the second time, from the moment the fault was put in. "
         "Where the fault itself stands the arm still, the time to hold tells. Recovery counts from the end of the "
-        "fault, and includes the start of a node where one is started. Open: only a guard outside the planner can stop "
-        "the arm then; there is none yet.",
+        "fault, and includes the start of a node where one is started.",
         "",
         *notes,
         "",

@@ -24,6 +24,8 @@ from humanpred_ros.evaluation.faults import (
     ARM,
     CLOCK,
     DIRECT,
+    GUARD,
+    GUARDED,
     NODES,
     PLANNER,
     POSTURES,
@@ -31,6 +33,7 @@ from humanpred_ros.evaluation.faults import (
     RECORDER,
     TRACKED_BODY,
     TRACKER,
+    WATCHED,
     wired,
 )
 from humanpred_ros.evaluation.processes import NodeGroup, NodeProcess, ParameterValue, free_domain_id
@@ -121,11 +124,11 @@ class FaultGraph:
     """
 
     def __init__(self, kind: str, inputs: Inputs, logs: Path) -> None:
-        """Take DIRECT, RELAYED or CLOCK, what the nodes are given, and a new folder for logs and bags."""
+        """Take the kind of graph, what the nodes are given, and a new folder for logs and bags."""
         scene = load_scene(inputs.scene)
         self.grid = scene.grid
         self._kind, self._inputs, self.logs = kind, inputs, logs
-        relayed = {DIRECT: (), CLOCK: (POSTURES, topics.CLOCK)}.get(kind, _RELAYED)
+        relayed = {DIRECT: (), CLOCK: (POSTURES, topics.CLOCK), GUARDED: (WATCHED,)}.get(kind, _RELAYED)
         self._group = NodeGroup(logs, free_domain_id())
         self.wire = Wire(self._group.domain_id, scene.arm.chain.joint_names, relayed)
         self._relayed = relayed
@@ -142,7 +145,7 @@ class FaultGraph:
             stack.enter_context(self.wire)
             if self._kind == CLOCK:
                 self.set_clock(_CLOCK_BEGINS_S)
-            for node in (RECORDER, ARM, PREDICTOR, PLANNER, TRACKER):
+            for node in (RECORDER, ARM, *((GUARD,) if self._kind == GUARDED else ()), PREDICTOR, PLANNER, TRACKER):
                 self.start(node)
             self._ends = stack.pop_all()
         return self
@@ -176,6 +179,8 @@ class FaultGraph:
         if node == RECORDER:
             self._bags += 1
             return {"output": str(self._bag())}
+        if node == GUARD:
+            return scene | {"bodies": ["watched"]}
         if node == ARM:
             return scene | {"rate_hz": 100.0}
         if node == PREDICTOR:
@@ -257,6 +262,10 @@ class FaultGraph:
             process.kill()
             process.wait()
         self._busy = [subprocess.Popen([sys.executable, "-c", _BUSY]) for _ in range(processes)]
+
+    def publish_factor(self, on: bool) -> None:
+        """Publish a speed factor beside the guard's, or no longer."""
+        self.wire.publish_factor(on)
 
     def fill_disk(self) -> None:
         """Let no file of the recorder grow any further: every write fails, as on a full disk."""

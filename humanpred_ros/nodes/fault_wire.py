@@ -20,15 +20,17 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import Int16
 from trajectory_msgs.msg import JointTrajectory
 
 from humanpred_ros import topics
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.fault_trials import Command, Heard, TimedText
-from humanpred_ros.evaluation.faults import POSTURES, wired
+from humanpred_ros.evaluation.faults import POSTURES, WATCHED, wired
 from humanpred_ros.evaluation.processes import ParameterValue
 from humanpred_ros.evaluation.spoilt_messages import Spoil
 from humanpred_ros.nodes import conversions, qos
@@ -42,6 +44,7 @@ RELAYED: Mapping[str, tuple[Any, bool]] = {
     topics.JOINT_STATES: (JointState, True),
     topics.TRAJECTORY: (JointTrajectory, False),
     topics.CLOCK: (Clock, True),
+    WATCHED: (JointState, True),
 }
 
 
@@ -62,6 +65,7 @@ class Wire:
         self._domain_id, self._joint_names, self._relayed = domain_id, tuple(joint_names), tuple(relayed)
         self._spoil: dict[str, Spoil] = {}
         self._clients: dict[str, Any] = {}
+        self._factor: Publisher | None = None
 
     def __enter__(self) -> Wire:
         os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -124,6 +128,15 @@ class Wire:
         future = client.call_async(request)
         if not self.wait(future.done, _ANSWER_S) or not future.result().results[0].successful:
             raise UsageError(f"bench faults: wanted {node} to take {name} = {value}, it did not; see its log")
+
+    def publish_factor(self, on: bool) -> None:
+        """Publish a speed factor beside the guard's, or no longer."""
+        if on:
+            self._factor = self._node.create_publisher(Int16, topics.SPEED_FACTOR, qos.COMMAND)
+            self._factor.publish(Int16(data=100))
+        elif self._factor is not None:
+            self._node.destroy_publisher(self._factor)
+            self._factor = None
 
     def _relay(self, topic: str) -> None:
         kind, from_publisher = RELAYED[topic]

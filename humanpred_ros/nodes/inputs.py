@@ -33,6 +33,7 @@ class Input:
         topic: as subscribed to.
         max_age_s: after a longer silence the node cannot do its work; infinite where it need not come.
         came_s: when the newest message came; None before the first.
+        sent_ns: when the one that is being handled was sent, by the sender's clock.
         publishers: tells how many publishers the subscription is matched with.
     """
 
@@ -40,6 +41,7 @@ class Input:
         self.topic, self.max_age_s = topic, max_age_s
         self.publishers: Callable[[], int] = lambda: 0
         self.came_s: float | None = None
+        self.sent_ns = 0
         self._newest: deque[tuple[float, float]] = deque(maxlen=_MOST_KEPT)
 
     def handled(self, came_s: float, latency_s: float) -> None:

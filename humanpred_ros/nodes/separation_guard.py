@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
@@ -39,6 +41,8 @@ from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.settings import setting
 
 _LOOK_AROUND_S, _MARKER_PERIOD_S = 0.1, 0.1
+#: Times that are remembered: those of the last 17 s at 30 Hz.
+_KEPT = 512
 
 
 class SeparationGuardSettings(ProtectiveDistanceSettings, PeopleSettings, NodeSettings):
@@ -91,6 +95,8 @@ class SeparationGuard(GraphNode):
         self.separation: Separation | None = None
         self.planner_s: float | None = None
         self.looked_s = self.marked_s = -math.inf
+        #: From a posture's publication to that of the factor.
+        self.took_ms: deque[float] = deque(maxlen=_KEPT)
 
         self.factor_publisher = self.create_publisher(Int16, topics.SPEED_FACTOR, qos.COMMAND)
         self.stop_publisher = self.create_publisher(String, topics.GUARD_STOP, qos.COMMAND)
@@ -110,7 +116,7 @@ class SeparationGuard(GraphNode):
         self.listen(JointState, topics.JOINT_STATES, self.on_joint_state, qos.ARM, max_age_s=settings.max_arm_age_s)
         if settings.watch_planner:
             self.listen(DiagnosticArray, topics.DECISION, self.on_decision, qos.SENSOR_SUBSCRIBER)
-        self.people = WatchedPeople(self, self.human, self.scene, settings.part(PeopleSettings), self.look)
+        self.people = WatchedPeople(self, self.human, self.scene, settings.part(PeopleSettings), self.on_people)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # a clock that stands still must not silence the guard
         self.create_timer(1.0 / settings.rate_hz, self.look_again, clock=steady)
         self.create_timer(_LOOK_AROUND_S, self.look_around, clock=steady)
@@ -134,6 +140,10 @@ class SeparationGuard(GraphNode):
 
     def facts(self) -> dict[str, str]:
         facts = {"factor": f"{self.pace.factor:.2f}", "stop": self.stop, "people": str(len(self.people.present))}
+        if self.took_ms:
+            for name, share in (("median", 50.0), ("p99", 99.0), ("most", 100.0)):
+                facts[f"posture_to_factor_ms/{name}"] = f"{np.percentile(self.took_ms, share):.2f}"
+            facts["posture_to_factor_ms/n"] = str(len(self.took_ms))
         found = self.separation
         if found is not None:
             facts |= {
@@ -188,6 +198,11 @@ class SeparationGuard(GraphNode):
         about = {"tracker frame": self.people.frames.warning}
         about |= {f"clock of {body.name}": body.stamps.behind() for body in self.people.present}
         self.warn({what: text for what, text in about.items() if text})
+
+    def on_people(self, sent_ns: int) -> None:
+        """Compare people and arm because a posture came that was sent then."""
+        self.look()
+        self.took_ms.append((time.time_ns() - sent_ns) * 1e-6)
 
     def look_again(self) -> None:
         """Compare people and arm although no posture came, unless one came just now."""

@@ -19,8 +19,8 @@ import numpy as np
 from rich.console import Console
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.fault_trials import OPEN, WORKING, TimedText, Trial
-from humanpred_ros.evaluation.faults import CLOCK, FAULTS, NODES, PLANNER, PREDICTOR, RECORDER, RELAYED, Fault
+from humanpred_ros.evaluation.fault_trials import WORKING, TimedText, Trial
+from humanpred_ros.evaluation.faults import CLOCK, FAULTS, GUARDED, NODES, PLANNER, PREDICTOR, RECORDER, RELAYED, Fault
 from humanpred_ros.evaluation.framework import Begin, Column, OutputSettings, Report, Table, present
 from humanpred_ros.evaluation.timing import MachineLoad
 from humanpred_ros.nodes.fault_bench import tried
@@ -162,7 +162,7 @@ def _in_any_order(rng: random.Random) -> Iterator[Fault]:
     of_use = [
         replace(fault, graph=RELAYED)
         for fault in FAULTS
-        if fault.graph != CLOCK and fault.outcome != OPEN and fault.joins not in (PREDICTOR, PLANNER, RECORDER)
+        if fault.graph not in (CLOCK, GUARDED) and fault.joins not in (PREDICTOR, PLANNER, RECORDER)
     ]
     while True:
         yield from rng.sample(of_use, len(of_use))

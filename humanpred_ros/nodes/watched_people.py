@@ -111,9 +111,17 @@ class WatchedPeople:
     """
 
     def __init__(
-        self, node: GraphNode, human: HumanModel, scene: Scene, settings: PeopleSettings, changed: Callable[[], object]
+        self,
+        node: GraphNode,
+        human: HumanModel,
+        scene: Scene,
+        settings: PeopleSettings,
+        changed: Callable[[int], object],
     ) -> None:
-        """Take the node that listens, the model of all bodies, the scene, the settings, and what follows a posture."""
+        """Take the node that listens, the model of all bodies, the scene, the settings, and what follows a posture.
+
+        The last is called with the time at which the posture was sent, ns, by the sender's clock.
+        """
         self._node, self._human, self._scene, self._settings, self._changed = node, human, scene, settings, changed
         grid, room_m = scene.grid, settings.room_m
         nx, ny, nz = (math.ceil(n * grid.resolution_m + 2.0 * room_m) for n in grid.shape)
@@ -173,6 +181,7 @@ class WatchedPeople:
         plausibility = PlausibilityCheck(
             self._human, self._room, self._scene.T_world_human, settings.part(PlausibilitySettings)
         )
+        topic = self._node.resolve_topic_name(topics.human_joint_states(name))
         body = self.bodies[name] = WatchedBody(name, plausibility, settings.part(StampSettings))
 
         def on_posture(message: JointState) -> None:
@@ -185,13 +194,13 @@ class WatchedPeople:
                 self._node.refuse(refusal)
             elif body.stamp_ns > self._nobody_ns:
                 body.gone = False
-            self._changed()
+            self._changed(self._node.inputs[topic].sent_ns)
 
         def on_held(message: Bool) -> None:
             body.held = message.data
 
         self._node.listen(Bool, topics.human_held(name), on_held, qos.LATCHED)
-        self._node.listen(JointState, topics.human_joint_states(name), on_posture, qos.SENSOR_SUBSCRIBER)
+        self._node.listen(JointState, topic, on_posture, qos.SENSOR_SUBSCRIBER)
 
     def _on_nobody(self, message: Header) -> None:
         """Let all bodies have left that were last seen before."""
