@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from humanpred_ros.geometry.chain import inverse_pose
 from humanpred_ros.geometry.checks import FloatArray, checked
@@ -185,21 +185,21 @@ class ProtectiveDistance:
         reaction_s = settings.reaction_s + age_s
         fixed_m = settings.intrusion_m + settings.person_uncertainty_m + settings.arm_uncertainty_m
 
-        def protective_m(factors: FloatArray | float) -> FloatArray:
-            travel = self._travel_m(person_speed, reaction_s + factors * full_stopping_s)
-            arm = factors * full_speed * (reaction_s + 0.5 * factors * full_stopping_s)
+        def protective_m(factors: FloatArray | float, pairs: NDArray[np.bool_] | slice = slice(None)) -> FloatArray:
+            travel = self._travel_m(person_speed[pairs], reaction_s + factors * full_stopping_s)
+            arm = factors * full_speed[pairs] * (reaction_s + 0.5 * factors * full_stopping_s)
             total: FloatArray = travel + arm + fixed_m
             return total
 
-        low = np.zeros_like(now)
-        high = np.ones_like(now)
-        may = protective_m(high) <= now
-        low[may] = 1.0
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            fine = protective_m(middle) <= now
-            low, high = np.where(fine, middle, low), np.where(fine, high, middle)
-        low[protective_m(0.0) > now] = 0.0
+        low = (protective_m(1.0) <= now).astype(np.float64)
+        between = (low == 0.0) & (protective_m(0.0) <= now)
+        if between.any():
+            least, most = np.zeros(between.sum()), np.ones(between.sum())
+            for _ in range(_HALVINGS):
+                middle = 0.5 * (least + most)
+                fine = protective_m(middle, between) <= now[between]
+                least, most = np.where(fine, middle, least), np.where(fine, most, middle)
+            low[between] = least
         present_m = protective_m(factor if told else 0.0)
         at = np.lexsort(((now - present_m).ravel(), low.ravel()))[0]
         b, p = divmod(int(at), now.shape[1])
