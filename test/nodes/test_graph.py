@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -256,8 +257,9 @@ def test_ctrl_c_leaves_no_process_and_a_readable_bag(run: Path, tmp_path: Path, 
         "--out",
         str(folder),
     ]
-    # No model with this seed is kept from earlier: training with it is always interrupted.
-    command += ["--seed", "987654"] if when == "training" else ["--model", str(run / "model.npz")]
+    # Where a run with this seed was once interrupted too late, its model is kept and nothing is trained again:
+    # a new seed each time.
+    command += ["--seed", str(time.time_ns() % 2**31)] if when == "training" else ["--model", str(run / "model.npz")]
     demo = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
     )
