@@ -141,22 +141,29 @@ class GraphNode(ManagedNode):
         """Return what else the node has to tell on /diagnostics."""
         return {}
 
-    def unmatched(self, publisher: Publisher, listener: str) -> str:
-        """Return what a publisher still lacks before nothing it sends is lost; empty when it lacks nothing.
+    def unmatched(self, listener: str, *publishers: Publisher) -> str:
+        """Return what publishers of the same content still lack before nothing they send is lost; empty if nothing.
 
-        It must be matched with every subscription the graph knows of, at least one, and the nodes that `listener`
-        names, if any, must be among them: a recorder alone does not make a graph.
+        Each must be matched with every subscription the graph knows of, together at least one, and the nodes that
+        `listener` names, if any, must be among them: a recorder alone does not make a graph.
         """
-        known = self.get_subscriptions_info_by_topic(publisher.topic_name)
-        there = [name_of(info.node_namespace, info.node_name) for info in known]
-        linked = publisher.link.listening() if isinstance(publisher, LinkedPublisher) else None
-        if linked is not None:
-            there.append(name_of(linked.get_namespace(), linked.get_name()))
+        there: list[str] = []
+        late = []
+        for publisher in publishers:
+            known = self.get_subscriptions_info_by_topic(publisher.topic_name)
+            names = [name_of(info.node_namespace, info.node_name) for info in known]
+            linked = publisher.link.listening() if isinstance(publisher, LinkedPublisher) else None
+            if linked is not None:
+                names.append(name_of(linked.get_namespace(), linked.get_name()))
+            if publisher.get_subscription_count() < len(names):
+                late.append(publisher.topic_name)
+            there += names
+        topics_text = " or ".join(publisher.topic_name for publisher in publishers)
         missing = [name for name in self.peers(listener) if name not in there]
         if missing:
-            return f"{', '.join(missing)} to subscribe to {publisher.topic_name}"
-        if publisher.get_subscription_count() < max(1, len(there)):
-            return f"a match with the subscribers of {publisher.topic_name}"
+            return f"{', '.join(missing)} to subscribe to {topics_text}"
+        if late or not there:
+            return f"a match with the subscribers of {' and '.join(late) or topics_text}"
         return ""
 
     def peers(self, text: str) -> list[str]:

@@ -73,7 +73,7 @@ class TopicCommander:
         self._publisher.publish(message)
 
     def waiting_for(self) -> str:
-        return self._node.unmatched(self._publisher, self._controller)
+        return self._node.unmatched(self._controller, self._publisher)
 
     def wait_until_heard(self, timeout_s: float) -> bool:
         heard: bool = self._publisher.wait_for_all_acked(Duration(seconds=timeout_s))

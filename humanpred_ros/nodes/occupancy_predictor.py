@@ -262,7 +262,7 @@ class OccupancyPredictorNode(GraphNode):
         return SetParametersResult(successful=True)
 
     def waiting_for(self) -> str:
-        return self.unmatched(self.occupancies.compact, self.settings.listener)
+        return self.unmatched(self.settings.listener, self.occupancies.compact, self.occupancies.cloud)
 
     def working(self) -> str:
         return "predicting" if self.first_ns else super().working()

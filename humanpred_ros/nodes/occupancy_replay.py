@@ -65,7 +65,7 @@ class OccupancyReplay(SteppedSource):
         self.wait_for_graph(stepped=True, clock=True, peers=self.settings.wait_for, patience_s=(180.0, 30.0))
 
     def waiting_for(self) -> str:
-        return super().waiting_for() or self.unmatched(self.publisher, "stomp_planner")
+        return super().waiting_for() or self.unmatched("stomp_planner", self.publisher)
 
     def publish_next(self) -> None:
         """Publish the next occupancy, or finish after the last."""

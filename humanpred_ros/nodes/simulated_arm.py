@@ -95,7 +95,7 @@ class SimulatedArm(GraphNode):
         self.controller.hold()
 
     def waiting_for(self) -> str:
-        return self.unmatched(self.publisher, "")
+        return self.unmatched("", self.publisher)
 
     def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         """Slow down, pause or hold the arm at run time."""

@@ -112,7 +112,7 @@ class SkeletonTrackerReplay(SteppedSource):
         return offsets_ns, postures
 
     def waiting_for(self) -> str:
-        return super().waiting_for() or self.unmatched(self.posture_publisher, self.settings.listener)
+        return super().waiting_for() or self.unmatched(self.settings.listener, self.posture_publisher)
 
     def begin(self) -> None:
         if not self.simulated_time:

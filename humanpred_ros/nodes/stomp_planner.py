@@ -105,7 +105,7 @@ class StompPlannerNode(CommandingNode):
     def waiting_for(self) -> str:
         if self.arm.q is None:
             return f"the arm's joints on {self.resolve_topic_name(topics.JOINT_STATES)}"
-        listening = self.unmatched(self.decision_publisher, self.settings.listener) if self.settings.listener else ""
+        listening = self.unmatched(self.settings.listener, self.decision_publisher) if self.settings.listener else ""
         looking = "other planners to be heard of, if there are any" if self._looks_around() else ""
         return self.commander.waiting_for() or listening or looking
 

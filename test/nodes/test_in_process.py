@@ -66,9 +66,9 @@ def test_as_many_wait_as_the_listener_wants(pair: tuple[Any, Any], profile: Any,
     speaker, listener = pair
     listener.profile = profile
     speaker.start()
-    assert speaker.unmatched(speaker.publisher, "listener").startswith("listener to subscribe")
+    assert speaker.unmatched("listener", speaker.publisher).startswith("listener to subscribe")
     listener.start()
-    assert speaker.unmatched(speaker.publisher, "listener") == ""
+    assert speaker.unmatched("listener", speaker.publisher) == ""
     assert not speaker.get_subscriptions_info_by_topic(speaker.publisher.topic_name)  # nothing goes over DDS
 
     def publish() -> None:
@@ -90,7 +90,7 @@ def test_a_node_that_is_not_active_hears_nothing_and_is_no_match(pair: tuple[Any
     listener.start()
     listener.trigger_deactivate()
     speaker.publisher.publish(PointCloud2(width=1))
-    assert speaker.unmatched(speaker.publisher, "listener").startswith("listener to subscribe")
+    assert speaker.unmatched("listener", speaker.publisher).startswith("listener to subscribe")
     listener.trigger_activate()
     speaker.publisher.publish(PointCloud2(width=2))
     while not listener.heard:
