@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import CompressedImage
 
 from humanpred_ros import topics
 from humanpred_ros.evaluation.processes import free_domain_id
@@ -25,18 +25,18 @@ class Listener(GraphNode):
     profile = qos.NEWEST_ONLY
 
     def activate(self) -> None:
-        self.heard: list[tuple[int, int]] = []
-        self.listen(PointCloud2, topics.OCCUPANCY, self.on_cloud, self.profile)
+        self.heard: list[tuple[str, int]] = []
+        self.listen(CompressedImage, topics.COMPACT_OCCUPANCY, self.on_occupancy, self.profile)
 
-    def on_cloud(self, message: PointCloud2) -> None:
-        self.heard.append((message.width, threading.get_ident()))
+    def on_occupancy(self, message: CompressedImage) -> None:
+        self.heard.append((message.format, threading.get_ident()))
 
 
 class Speaker(GraphNode):
     """Publishes when it is told to."""
 
     def activate(self) -> None:
-        self.publisher = self.create_publisher(PointCloud2, topics.OCCUPANCY, qos.SENSOR_PUBLISHER)
+        self.publisher = self.create_publisher(CompressedImage, topics.COMPACT_OCCUPANCY, qos.SENSOR_PUBLISHER)
 
 
 @pytest.fixture
@@ -72,16 +72,16 @@ def test_as_many_wait_as_the_listener_wants(pair: tuple[Any, Any], profile: Any,
     assert not speaker.get_subscriptions_info_by_topic(speaker.publisher.topic_name)  # nothing goes over DDS
 
     def publish() -> None:
-        for width in range(1, 6):
-            speaker.publisher.publish(PointCloud2(width=width))
+        for k in range(1, 6):
+            speaker.publisher.publish(CompressedImage(format=str(k)))
 
     thread = threading.Thread(target=publish)
     thread.start()
     thread.join()
     while not listener.heard:
         spin(listener)
-    assert listener.heard == [(width, threading.get_ident()) for width in expected]
-    assert listener.inputs["/human_occupancy"].came_s is not None
+    assert listener.heard == [(str(k), threading.get_ident()) for k in expected]
+    assert listener.inputs["/human_occupancy/compact"].came_s is not None
 
 
 def test_a_node_that_is_not_active_hears_nothing_and_is_no_match(pair: tuple[Any, Any]) -> None:
@@ -89,12 +89,12 @@ def test_a_node_that_is_not_active_hears_nothing_and_is_no_match(pair: tuple[Any
     speaker.start()
     listener.start()
     listener.trigger_deactivate()
-    speaker.publisher.publish(PointCloud2(width=1))
+    speaker.publisher.publish(CompressedImage(format="1"))
     assert speaker.unmatched("listener", speaker.publisher).startswith("listener to subscribe")
     listener.trigger_activate()
-    speaker.publisher.publish(PointCloud2(width=2))
+    speaker.publisher.publish(CompressedImage(format="2"))
     while not listener.heard:
         spin(listener)
-    assert [width for width, _ in listener.heard] == [2]
+    assert [text for text, _ in listener.heard] == ["2"]
     speaker.trigger_deactivate()
-    assert listener.inputs["/human_occupancy"].silence().endswith("nobody publishes it")
+    assert listener.inputs["/human_occupancy/compact"].silence().endswith("nobody publishes it")
