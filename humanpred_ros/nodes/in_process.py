@@ -45,7 +45,7 @@ class Link:
         def take() -> None:
             while waiting and node.connected:
                 message, put_ns = waiting.popleft()
-                callback(message, {"received_timestamp": put_ns})
+                callback(message, {"source_timestamp": put_ns, "received_timestamp": put_ns})
 
         self._wake = node.create_guard_condition(take).trigger
         self.listener = node
