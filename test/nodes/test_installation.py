@@ -33,6 +33,8 @@ from humanpred_ros.evaluation.processes import free_domain_id
 from humanpred_ros.nodes.parameters import declare
 
 NODES: dict[str, type[Any]] = node_settings()
+#: Executables that are no node of their own.
+PROGRAMS = {"humanpred", "predict_and_plan"}
 LAUNCH_FILE = REPOSITORY / "launch" / "human_aware_arm.launch.py"
 _COLCON = "import sys; from colcon_core.command import main; sys.exit(main())"
 _NOT_PACKAGED = (".*", "*.egg-info", "build", "install", "log", "runs", "test", "venv*")
@@ -117,7 +119,7 @@ def packaged(folder: Path) -> set[str]:
 
 def test_the_install_space_holds_everything(workspace: Path, install: Path, environment: dict[str, str]) -> None:
     prefix = install / "humanpred_ros"
-    assert {file.name for file in (prefix / "lib" / "humanpred_ros").iterdir()} == {*NODES, "humanpred"}
+    assert {file.name for file in (prefix / "lib" / "humanpred_ros").iterdir()} == {*NODES, *PROGRAMS}
     assert (prefix / "share" / "ament_index" / "resource_index" / "packages" / "humanpred_ros").is_file()
     share = prefix / "share" / "humanpred_ros"
     assert packaged(share) == packaged(workspace / "src" / "humanpred_ros")
