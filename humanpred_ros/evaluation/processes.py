@@ -244,14 +244,14 @@ def chosen_domain_id() -> int:
 
 
 def free_domain_id() -> int:
-    """Return a ROS domain id whose first discovery port no process of this machine is using.
+    """Return a ROS domain id whose discovery ports no process of this machine is using.
 
     Ids up to 101 stay clear of the ephemeral ports. The choice starts at a place that depends on the process id, so
     that two runs started together differ.
     """
     for step in range(100):
         domain_id = 1 + (os.getpid() + step) % 101
-        if not _in_use(domain_id, 1):
+        if not _in_use(domain_id, _PARTICIPANTS):
             return domain_id
     raise UsageError("no free ROS domain id from 1 to 101 on this machine; end other ROS programs first")
 

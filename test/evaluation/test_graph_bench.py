@@ -271,6 +271,7 @@ def test_the_real_nodes_are_measured_and_ended(tmp_path: Path) -> None:
     assert result["step_ms"]["median"] > 0.0
     assert {node["node"] for node in result["usage"]} == {
         "run_recorder", "simulated_arm", "occupancy_predictor", "stomp_planner", "skeleton_tracker_replay",
+        "separation_guard",
     }  # fmt: skip
     assert all(node["memory_mb"] > 10.0 for node in result["usage"])
     assert result["ready_s"] > 0.0

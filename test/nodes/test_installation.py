@@ -325,7 +325,7 @@ def test_a_list_may_be_empty(context: Any) -> None:
 
 
 def test_parameters_meant_for_all_nodes_pass(context: Any) -> None:
-    shared = {"scene": "side_by_side", "seed": 3, "use_sim_time": True}
+    shared = {"scene": "side_by_side", "use_sim_time": True}
     quality = {"qos_overrides./diagnostics.publisher.depth": 3}
     assert declared(context, "simulated_arm", **shared, **quality).scene == "side_by_side"
 

@@ -56,7 +56,7 @@ def test_two_robots_do_not_hear_each_other(tmp_path: Path) -> None:
         assert bag.find(topics.DECISION) == f"{namespace}/stomp_planner/decision"
         seen = np.array([message.position for _, message in bag.decoded(POSTURES)])
         np.testing.assert_array_equal(seen, library.find(motion).q)
-        assert stamps(bag, topics.OCCUPANCY) == stamps(bag, topics.DECISION) == stamps(bag, POSTURES)
+        assert stamps(bag, topics.COMPACT_OCCUPANCY) == stamps(bag, topics.DECISION) == stamps(bag, POSTURES)
         run = read_run(tmp_path / namespace[1:])
         assert len(run.steps) >= 3
         assert not any("two planners" in decision.reason for decision in run.decisions)
@@ -70,7 +70,7 @@ def test_two_robots_share_a_tracker_by_remapping(tmp_path: Path) -> None:
             predictor = {"predictor": "current", "lossless": True, "listener": "run_recorder"}
             group.start("occupancy_predictor", predictor, here)
             recorder = {"output": str(tmp_path / namespace[1:] / "bag"), "stay": False}
-            group.start("run_recorder", {**recorder, "wait_for": f"{topics.OCCUPANCY},{POSTURES}"}, here)
+            group.start("run_recorder", {**recorder, "wait_for": f"{topics.COMPACT_OCCUPANCY},{POSTURES}"}, here)
         tracker = group.start(
             "skeleton_tracker_replay",
             {
@@ -87,8 +87,8 @@ def test_two_robots_share_a_tracker_by_remapping(tmp_path: Path) -> None:
     assert len(sent) > 100
     for namespace, bag in zip(robots, bags, strict=True):
         assert bag.find(POSTURES) == f"/people/{POSTURES}"
-        assert bag.find(topics.OCCUPANCY) == f"{namespace}/human_occupancy"
-        assert stamps(bag, topics.OCCUPANCY) == stamps(bag, POSTURES) == sent
+        assert bag.find(topics.COMPACT_OCCUPANCY) == f"{namespace}/human_occupancy/compact"
+        assert stamps(bag, topics.COMPACT_OCCUPANCY) == stamps(bag, POSTURES) == sent
         assert len(read_run(bag.path.parent).postures) == len(sent)
 
 

@@ -241,10 +241,10 @@ def test_who_else_commands_is_known_by_topic_and_by_action(arm: ArmClient) -> No
         ("by_topic", lambda other: TopicCommander(other)),
         ("by_action", lambda other: ActionCommander(other, arm.failures.append)),
     ):
-        other = rclpy.create_node(name, context=node.context, namespace="/cell")
+        other = rclpy.create_node(name, context=node.context)
         try:
             make(other)
-            arm.wait(lambda name=name: OtherCommanders(node).names() == f"/cell/{name}", f"{name} to be found")
+            arm.wait(lambda name=name: OtherCommanders(node).names() == f"/{name}", f"{name} to be found")
             seen = OtherCommanders(other)
             arm.wait(lambda seen=seen: seen.names() == "/simulated_arm_client", "the other one to see us")
         finally:
