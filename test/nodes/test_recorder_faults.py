@@ -46,6 +46,9 @@ def test_a_killed_recorder_loses_less_than_a_second(tmp_path: Path, after_bytes:
     with RecorderClient(tmp_path, "run_recorder", {"output": str(tmp_path / "bag")}) as client:
         file = tmp_path / "bag" / "bag_0.mcap"
         client.wait(lambda: file.stat().st_size > after_bytes, "something to be recorded")
+        # What was recorded first may be diagnostics only.
+        n_bytes, topic = file.stat().st_size, topics.JOINT_STATES.encode()
+        client.wait(lambda: topic in file.read_bytes() and file.stat().st_size > n_bytes, "the arm to be recorded")
         os.kill(client.process.process.pid, signal.SIGKILL)
         sent_ns = client.sent_ns
         client.process.process.wait()
