@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
 from humanpred_ros.evaluation.fault_trials import TimedText, Trial
 from humanpred_ros.evaluation.faults import FAULTS
-from humanpred_ros.nodes.soak_bench import Memory, Seen, bad_of, drift_of, memory_of
+from humanpred_ros.nodes.soak_bench import Memory, Seen, bad_of, drift_of, late_of, memory_of
 
 CAUGHT = Trial(0.1, 0.2, "stale", 0.3, 0.0, 0.0, 0.3)
 
@@ -24,7 +24,8 @@ def test_a_graph_that_holds_out_is_told_so() -> None:
     seen = Seen(trials=[(FAULTS[0], CAUGHT)])
     seen.take([keep(1.0), hold(1.1, "the person is likely to come there"), hold(1.2, "the person is there"), keep(1.3)])
     assert sum(seen.explained.values()) == 2
-    assert list(bad_of(seen, [Memory("stomp_planner", 250.0, 260.0)], 1.0)) == []
+    assert list(bad_of(seen, [Memory("stomp_planner", 250.0, 260.0)])) == []
+    assert list(late_of(seen, 1.0)) == []
 
 
 def test_a_hold_that_goes_on_counts_once_and_one_that_comes_back_again() -> None:
@@ -33,16 +34,20 @@ def test_a_hold_that_goes_on_counts_once_and_one_that_comes_back_again() -> None
     seen.take([hold(2.0, "stale human data: 0.5 s"), hold(2.1, "the deadline left no time for a single update")])
     seen.take([hold(3.0, "the deadline left no time for a single update")])
     assert sum(seen.unexplained.values()) == 3
-    assert len(list(bad_of(seen, [], 1.0))) == 2  # by reason
+    assert len(list(bad_of(seen, []))) == 2  # by reason
 
 
 def test_growth_drift_and_what_was_missed_are_told() -> None:
     missed = Trial.not_begun("the arm did not come to rest")
-    (text,) = bad_of(Seen(trials=[(FAULTS[0], missed)]), [], 1.0)
+    (text,) = bad_of(Seen(trials=[(FAULTS[0], missed)]), [])
     assert text == f"{FAULTS[0].name}: the arm did not come to rest"
-    (text,) = bad_of(Seen(), [Memory("stomp_planner", 250.0, 270.0)], 1.0)
+    (text,) = bad_of(Seen(), [Memory("stomp_planner", 250.0, 270.0)])
     assert text.startswith("stomp_planner grew by 8.0%")
-    assert len(list(bad_of(Seen(), [], 1.4))) == 1
+    assert len(list(late_of(Seen(), 1.4))) == 1
+    busy = Seen()
+    busy.take([hold(1.0, "overload: no replanning step was finished for 0.7 s"), keep(1.1)] * 2)
+    assert list(late_of(busy, 1.0)) == ["hold without a fault, 2 times: overload"]
+    assert list(bad_of(busy, [])) == []
 
 
 def test_memory_counts_of_processes_that_were_there_all_the_time_once_settled() -> None:
