@@ -1,8 +1,8 @@
 """How the running graph holds out: people at 30 postures a second for as long as is asked, and a fault now and then.
 
 Asked for: memory that does not grow once the graph has settled, answers that do not become later, every fault caught
-and named, and no hold without a reason in between. While other programs need the processor, answers that come later and steps
-without time are no fault of the graph: they are told, and not counted.
+and named, and no hold without a reason in between. While other programs need the processor, answers that come later
+and steps without time are no fault of the graph: they are told, and not counted.
 """
 
 from __future__ import annotations
