@@ -57,6 +57,10 @@ class ModelFileError(HumanPredError):
     """A trained model file that is unreadable or was made for something else."""
 
 
+class RobotError(HumanPredError):
+    """A robot's file that does not fit its description, or a description that no arm can be made from."""
+
+
 class SceneError(HumanPredError):
     """A scene description with unknown keys or impossible values."""
 

@@ -8,11 +8,11 @@ from humanpred_ros.geometry.chain import BodySpheres
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.distance_field import SignedDistanceField
 from humanpred_ros.geometry.solids import Obstacle
+from humanpred_ros.robot.arm import Arm
 from humanpred_ros.robot.clearance import Approach, nearest_approaches
-from humanpred_ros.robot.pr2 import Pr2Arm
 
 
-def arm_clearance(arm: Pr2Arm, spheres: BodySpheres, field: SignedDistanceField, q: FloatArray) -> FloatArray:
+def arm_clearance(arm: Arm, spheres: BodySpheres, field: SignedDistanceField, q: FloatArray) -> FloatArray:
     """Return the least signed clearance of each configuration of a trajectory.
 
     Spheres cover the meshes, so the true clearance is never less, apart from the field's interpolation
@@ -30,6 +30,6 @@ def arm_clearance(arm: Pr2Arm, spheres: BodySpheres, field: SignedDistanceField,
     return least
 
 
-def nearest_approach(arm: Pr2Arm, spheres: BodySpheres, obstacles: Sequence[Obstacle], q: FloatArray) -> Approach:
+def nearest_approach(arm: Arm, spheres: BodySpheres, obstacles: Sequence[Obstacle], q: FloatArray) -> Approach:
     """Return where the arm at configuration `q` (7,) comes closest to the obstacles, exactly (no grid)."""
     return nearest_approaches(arm, spheres, obstacles, checked("configuration", q, (arm.chain.n_joints,))[None])[0]

@@ -43,7 +43,6 @@ from humanpred_ros.recognition.forest import ForestSettings
 from humanpred_ros.recognition.gmm_classifier import GmmSettings
 from humanpred_ros.recognition.training import load_model, save_model, train_model
 from humanpred_ros.resources import share_file
-from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.viewing.analysis import analyse
 from humanpred_ros.viewing.key_figures import print_summary
@@ -133,6 +132,7 @@ def _write_tables(folder: Path, library: MotionLibrary) -> None:
 
 def _write_run(folder: Path, motion: Motion, human: HumanModel) -> None:
     scene = load_scene("face_to_face", check=False)
+    joints = scene.arm.chain.joint_names
     grid, goal, status = scene.grid, scene.goals[0].name, ros.message_class("diagnostic_msgs/msg/DiagnosticStatus")
     pair, header = ros.message_class("diagnostic_msgs/msg/KeyValue"), ros.header
     facts = {
@@ -151,7 +151,7 @@ def _write_run(folder: Path, motion: Motion, human: HumanModel) -> None:
                 f"{body}/joint_states", stamp, ros.joint_state(stamp, motion.dof_names, q, frame_id="lab")
             )
             q_arm = scene.start + 0.01 * k
-            bag.write_message(f"/{topics.JOINT_STATES}", stamp, ros.joint_state(stamp, RIGHT_ARM_JOINTS, q_arm))
+            bag.write_message(f"/{topics.JOINT_STATES}", stamp, ros.joint_state(stamp, joints, q_arm))
             voxels = grid.centres_m(np.arange(4 * k, 4 * k + 8))
             cloud = {**dict(zip("xyz", voxels.T, strict=True)), "probability": np.full(8, 0.5, np.float32)}
             bag.write_message(f"/{topics.OCCUPANCY}", stamp, ros.point_cloud2(stamp, "world", cloud))

@@ -236,7 +236,7 @@ def _least_distance(
     trajectory = at_rest(scene.start, departure_s)
     if target is not None:
         limit = config.velocity_scale * scene.arm.chain.velocity_limit
-        acceleration = np.broadcast_to(np.asarray(config.acceleration_limit, dtype=np.float64), limit.shape)
+        acceleration = np.minimum(config.acceleration_limit, scene.arm.chain.acceleration_limit)
         path, rest = straight(scene.start, target, _WAYPOINTS), np.zeros(len(target))
         trajectory = time_parameterise(path, limit, acceleration, rest, rest, config.sample_period_s, departure_s)
         spheres = scene.arm.spheres()

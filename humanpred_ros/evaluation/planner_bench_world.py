@@ -19,7 +19,8 @@ from humanpred_ros.geometry.distance_field import SignedDistanceField, build_dis
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.geometry.solids import Box, Obstacle, planar_pose
 from humanpred_ros.planning.path import straight
-from humanpred_ros.robot.pr2 import BODY_POINT_SPACING_M, Pr2Arm
+from humanpred_ros.robot.arm import Arm
+from humanpred_ros.robot.robot import BODY_POINT_SPACING_M
 from humanpred_ros.robot.scene import Scene, load_scene
 from humanpred_ros.settings import Settings, setting, setting_of
 from humanpred_ros.stomp.config import StompConfig
@@ -75,7 +76,7 @@ class BenchWorld:
     workload: Workload  #: how much there is to plan
     planner: StompPlanner  #: ours, with obstacle, human occupancy and smoothness as its cost terms
     paths: tuple[FloatArray, ...]  #: (N, 7) straight line to each goal
-    arm: Pr2Arm  #: the PR2's
+    arm: Arm  #: the scene's
     human: HumanOccupancyCost  #: two of the cost terms
     obstacle: ObstacleCost
 
@@ -124,8 +125,8 @@ def spread_goals(scene: Scene, count: int) -> tuple[FloatArray, ...]:
     return tuple(found)
 
 
-def body_points(arm: Pr2Arm, count: int) -> BodyPoints:
-    """Return `count` points on the arm, spread over its links as `Pr2Arm.body_points` spreads them."""
+def body_points(arm: Arm, count: int) -> BodyPoints:
+    """Return `count` points on the arm, spread over its links as `Arm.body_points` spreads them."""
     spacing = BODY_POINT_SPACING_M
     points = arm.body_points(spacing)
     while len(points) < count:
@@ -135,8 +136,8 @@ def body_points(arm: Pr2Arm, count: int) -> BodyPoints:
     return BodyPoints(points.link[kept], points.local_m[kept])
 
 
-def body_spheres(arm: Pr2Arm, count: int) -> BodySpheres:
-    """Return `count` spheres on the arm: those of `Pr2Arm.spheres` thinned, or the largest doubled along the link.
+def body_spheres(arm: Arm, count: int) -> BodySpheres:
+    """Return `count` spheres on the arm: those of `Arm.spheres` thinned, or the largest doubled along the link.
 
     The two halves of a sphere keep its radius and lie a quarter of it to either side, so the same links are covered
     to within that.
@@ -148,7 +149,7 @@ def body_spheres(arm: Pr2Arm, count: int) -> BodySpheres:
     while len(link) < count:
         # The largest first; once halved, a sphere counts as half as large.
         k = int(np.argmax([r / 2**times for r, times in zip(radius, halved, strict=True)]))
-        aside = np.array([radius[k] / 2.0 ** (halved[k] + 2), 0.0, 0.0])  # PR2 links lie along x
+        aside = np.array([radius[k] / 2.0 ** (halved[k] + 2), 0.0, 0.0])  # the PR2's links lie along x
         centre[k : k + 1] = [centre[k] - aside, centre[k] + aside]
         for values in (link, radius):
             values.insert(k, values[k])

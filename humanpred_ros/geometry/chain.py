@@ -7,7 +7,7 @@ agree to 1e-9).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -32,7 +32,7 @@ class KinematicChain:
 
     joint_names: tuple[str, ...]  #: J names, from the root outwards
     joint_origin_m: FloatArray  #: (J, 3) translation from the previous joint's frame (the root for the first)
-    #: (J, 3, 3) fixed rotation from the previous joint's frame at zero (identity on the PR2)
+    #: (J, 3, 3) fixed rotation from the previous joint's frame at zero (identity on many robots)
     joint_rotation: FloatArray
     joint_axis: FloatArray  #: (J, 3) unit rotation axes in the joints' own frames
     T_world_root: FloatArray  #: (4, 4) frame in which the first origin is expressed
@@ -41,6 +41,8 @@ class KinematicChain:
     upper: FloatArray
     continuous: NDArray[np.bool_]  #: (J,) true where the joint turns without end
     velocity_limit: FloatArray  #: (J,) rad/s
+    #: (J,) rad/s^2, inf where none is known; one number for all
+    acceleration_limit: FloatArray = field(default_factory=lambda: np.array(np.inf))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
@@ -56,9 +58,12 @@ class KinematicChain:
             "lower": (n,),
             "upper": (n,),
             "velocity_limit": (n,),
+            "acceleration_limit": (n,),
         }
+        if np.ndim(self.acceleration_limit) == 0:
+            object.__setattr__(self, "acceleration_limit", np.full(n, self.acceleration_limit))
         for name, shape in shapes.items():
-            finite = name not in ("lower", "upper", "velocity_limit")
+            finite = name not in ("lower", "upper", "velocity_limit", "acceleration_limit")
             array = checked(f"chain {name}", getattr(self, name), shape, finite=finite)
             object.__setattr__(self, name, frozen(array))
         continuous = np.asarray(self.continuous, dtype=np.bool_)
@@ -83,8 +88,9 @@ class KinematicChain:
             raise ArrayError(f"chain limits: wanted lower < upper, got {self.lower} and {self.upper}")
         if not (np.isinf(self.lower) & np.isinf(self.upper))[self.continuous].all():
             raise ArrayError("chain limits: wanted -inf and inf for continuous joints, got finite values")
-        if not (self.velocity_limit > 0).all():
-            raise ArrayError(f"chain velocity_limit: wanted positive rad/s, got {self.velocity_limit}")
+        for name in ("velocity_limit", "acceleration_limit"):
+            if not (getattr(self, name) > 0).all():
+                raise ArrayError(f"chain {name}: wanted positive numbers, got {getattr(self, name)}")
 
     @property
     def n_joints(self) -> int:
@@ -176,14 +182,19 @@ class BodySpheres(BodyPoints):
 class BodyBoxes(BodyPoints):
     """Boxes that fill the moving bodies, inside included, for what must not enter them.
 
-    Centres as `BodyPoints`, and half lengths (P, 3) along the axes of the joint's frame.
+    Centres as `BodyPoints`, half lengths (P, 3) along the axes of the joint's frame, and how far (P,) each box reaches
+    beyond them all around: a sphere is a box of hardly any length.
     """
 
     half_m: FloatArray
+    round_m: FloatArray = field(default_factory=lambda: np.array(0.0))  #: one number for all
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self._freeze("half_m", (len(self), 3), positive=True)
+        if np.ndim(self.round_m) == 0:
+            object.__setattr__(self, "round_m", np.full(len(self), self.round_m))
+        self._freeze("round_m", (len(self),))
 
 
 def reach_m(chain: KinematicChain, spheres: BodySpheres) -> tuple[FloatArray, float]:

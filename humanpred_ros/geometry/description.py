@@ -16,14 +16,9 @@ from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.chain import KinematicChain, inverse_pose
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.joints import Joints
-from humanpred_ros.geometry.solids import Box, Shape
+from humanpred_ros.geometry.solids import Shape
 
 TURNING, SLIDING = ("revolute", "continuous"), ("prismatic",)
-
-# Corners of a box's twelve triangles, as indices into its eight corners (x slowest, z fastest).
-_BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-_BOX_SIDES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
-_BOX_TRIANGLES = np.array([corners for a, b, c, d in _BOX_SIDES for corners in ((a, b, c), (a, c, d))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,18 +32,8 @@ class Body:
 
     @property
     def triangles(self) -> FloatArray:
-        """Its surface (F, 3, 3) in its own frame.
-
-        Raises:
-            UsageError: for round solids.
-        """
-        if not isinstance(self.shape, Box):
-            raise UsageError(
-                f"robot: wanted collision meshes or boxes, got a {type(self.shape).__name__} on {self.link}; "
-                "describe that link by a mesh or a box in the URDF"
-            )
-        triangles: FloatArray = (_BOX_CORNERS * self.shape.half_m)[_BOX_TRIANGLES]
-        return triangles
+        """Its surface (F, 3, 3) in its own frame; at round places a little outside."""
+        return self.shape.triangles()
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +47,12 @@ class MeshBody:
 
 
 class LinkSurface(NamedTuple):
-    """A link's collision surface: triangles (F, 3, 3) in metres, in the frame its owner states."""
+    """A link's collision surface, in the frame its owner states."""
 
     link: str
-    triangles: FloatArray
+    triangles: FloatArray  #: (F, 3, 3) in metres
+    shape: Shape | None = None  #: the solid that it is the surface of, if it is one
+    centre_m: FloatArray | None = None  #: (3,) that solid's centre
 
 
 class Mimic(NamedTuple):
@@ -205,7 +192,8 @@ class PlacedDescription:
         """Return the serial chain through `joints`, rooted in the frame that the first of them hangs on.
 
         Raises:
-            UsageError: if the joints do not follow each other, or one is not a hinge.
+            UsageError: if the joints do not follow each other, one is not a hinge, or the tool does not move with the
+                last of them.
         """
         said, indices = self.description, [self.description.joint_index(name) for name in joints]
         for before, after in pairwise(indices):
@@ -217,7 +205,21 @@ class PlacedDescription:
         for index in indices:
             if said.kind[index] not in TURNING:
                 raise UsageError(f"chain: wanted hinges, got the {said.kind[index]} joint {said.joint_names[index]}")
-        T_base_tool = self._links[said.link_index(tool_frame)]
+            if said.joint_names[index] in said.mimic:
+                followed = said.mimic[said.joint_names[index]].joint
+                raise UsageError(
+                    f"chain: wanted joints that move alone, got {said.joint_names[index]}, which follows {followed}"
+                )
+            if not said.lower[index] < said.upper[index]:
+                got = f"{said.lower[index]} and {said.upper[index]}"
+                raise UsageError(
+                    f"chain: wanted limits of {said.joint_names[index]} with lower < upper, got {got}; correct its "
+                    "<limit> in the URDF"
+                )
+        tool = said.link_index(tool_frame)
+        if indices[-1] + 1 not in said.supports(int(said.link_joint[tool])):
+            raise UsageError(f"chain: wanted a tool that moves with {joints[-1]}, got {tool_frame}, which does not")
+        T_base_tool = self._links[tool]
         return KinematicChain(
             joint_names=tuple(joints),
             joint_origin_m=said.T_parent_joint[indices, :3, 3],
@@ -243,7 +245,8 @@ class PlacedDescription:
             if owners:
                 T = inverse_pose(self._joint(owners[-1])) @ T_base_body
                 triangles = surface.triangles @ T[:3, :3].T + T[:3, 3]
-                moving[numbers.index(owners[-1])].append(LinkSurface(surface.link, triangles))
+                moved = surface._replace(triangles=triangles, centre_m=T[:3, 3])
+                moving[numbers.index(owners[-1])].append(moved)
         return moving
 
     def fixed_surfaces(self, joints: Sequence[str]) -> list[tuple[LinkSurface, FloatArray]]:
@@ -266,4 +269,5 @@ class PlacedDescription:
             for body in said.collisions:
                 if body.link == link:
                     pose = self._links[index] @ body.T_link_body
-                    yield LinkSurface(link, body.triangles), said.supports(int(said.link_joint[index])), pose
+                    surface = LinkSurface(link, body.triangles, body.shape if isinstance(body, Body) else None)
+                    yield surface, said.supports(int(said.link_joint[index])), pose

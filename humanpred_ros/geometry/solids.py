@@ -1,4 +1,4 @@
-"""The solids that people, tables, cups and robots are made of: signed distances, and points on their surface.
+"""The solids that people, tables, cups and robots are made of: signed distances, points and triangles on their surface.
 
 Every solid is centred on its own frame, its axis along z; distances are negative inside. `sample` covers the surface so
 that no point of it is farther than the spacing from a sample (the worst case is spacing / sqrt(2), the half diagonal of
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,12 @@ from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 
 FloatLike = NDArray[np.floating]
+# Corners of a box's twelve triangles, as indices into its eight corners (x slowest, z fastest).
+_BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+_BOX_SIDES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+_BOX_TRIANGLES = np.array([corners for a, b, c, d in _BOX_SIDES for corners in ((a, b, c), (a, c, d))])
+#: Corners of the polygon that stands for a circle, around it: it sticks out by 0.5 % of the radius.
+_CORNERS = 32
 #: Enough for 1e-9 m from any start inside the bracket of `_distance_to_ellipse`; six or seven are needed in practice.
 NEWTON_STEPS = 10
 
@@ -48,6 +55,10 @@ class Shape(ABC):
     def sample(self, spacing_m: float) -> FloatArray:
         """Return points (P, 3) on the surface, neighbours at most about `spacing_m` apart."""
 
+    @abstractmethod
+    def triangles(self) -> FloatArray:
+        """Return the closed surface (F, 3, 3) of a body that holds the solid; at round places it is a little larger."""
+
     def distance_m(self, points: FloatArray) -> FloatArray:
         """Return the signed distances (...) of points (..., 3)."""
         return np.asarray(self.local_distance(points[..., 0], points[..., 1], points[..., 2]), dtype=np.float64)
@@ -68,6 +79,10 @@ class Sphere(Shape):
 
     def sample(self, spacing_m: float) -> FloatArray:
         return _dome(self.radius_m, spacing_m, np.pi)
+
+    def triangles(self) -> FloatArray:
+        arc = _outer_arc(self.radius_m)
+        return _turned(np.concatenate([arc, arc[::-1] * (1, -1)]), 1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -92,6 +107,10 @@ class Box(Shape):
         faces: FloatArray = points[(np.abs(points) == self.half_m).any(axis=1)]
         return faces
 
+    def triangles(self) -> FloatArray:
+        exact: FloatArray = (_BOX_CORNERS * self.half_m)[_BOX_TRIANGLES]
+        return exact
+
 
 @dataclass(frozen=True)
 class Capsule(Shape):
@@ -114,6 +133,10 @@ class Capsule(Shape):
         end = np.array([0.0, 0.0, self.length_m / 2])
         wall = _stack(rim, _ticks(self.length_m, spacing_m))
         return np.concatenate([wall, dome + end, dome * (1, 1, -1) - end])
+
+    def triangles(self) -> FloatArray:
+        arc = _outer_arc(self.radius_m) + np.array([0.0, self.length_m / 2])
+        return _turned(np.concatenate([arc, arc[::-1] * (1, -1)]), 1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -146,6 +169,9 @@ class EllipticCylinder(Shape):
         inner = [_ellipse(self.x_m * k / rings, self.y_m * k / rings, spacing_m) for k in range(1, rings)]
         face = np.concatenate([np.zeros((1, 2)), *inner])
         return np.concatenate([wall, _stack(face, np.array([-1.0, 1.0]) * self.length_m / 2)])
+
+    def triangles(self) -> FloatArray:
+        return _turned(np.array([[1.0, self.length_m / 2], [1.0, -self.length_m / 2]]), self.x_m, self.y_m)
 
 
 def cylinder(radius_m: float, height_m: float) -> EllipticCylinder:
@@ -232,6 +258,33 @@ def _dome(radius_m: float, spacing_m: float, opening: float) -> FloatArray:
         else:
             points.append(_stack(_ellipse(across, across, spacing_m), np.array([radius_m * np.cos(polar)])))
     return np.concatenate(points)
+
+
+def _outer_arc(radius_m: float) -> FloatArray:
+    """Return corners (K, 2), distance from the axis and height, of a polygon around a circle's upper quarter."""
+    step = 2.0 * np.pi / _CORNERS
+    polar = np.arange(step / 2.0, np.pi / 2.0, step)
+    arc: FloatArray = radius_m / np.cos(step / 2.0) * np.stack([np.sin(polar), np.cos(polar)], axis=1)
+    return arc
+
+
+def _turned(profile: FloatArray, x_m: float, y_m: float) -> FloatArray:
+    """Return the triangles (F, 3, 3) of a body of revolution, closed by flat faces, around which its circles lie.
+
+    Args:
+        profile: (K, 2) distances from the axis, which `x_m` and `y_m` stretch, and heights, from above.
+    """
+    angle = 2.0 * np.pi * np.arange(_CORNERS) / _CORNERS
+    around = np.stack([x_m * np.cos(angle), y_m * np.sin(angle)], axis=1) / np.cos(np.pi / _CORNERS)
+    rings = [np.column_stack([r * around, np.full(_CORNERS, z)]) for r, z in profile]
+    faces = []
+    for above, below in pairwise(rings):
+        a, b = np.roll(above, -1, axis=0), np.roll(below, -1, axis=0)
+        faces += [np.stack([above, below, a], axis=1), np.stack([a, below, b], axis=1)]
+    for ring, order in ((rings[0], (0, 1, 2)), (rings[-1], (0, 2, 1))):
+        middle = np.broadcast_to(ring.mean(axis=0), ring.shape)
+        faces.append(np.stack([middle, ring, np.roll(ring, -1, axis=0)], axis=1)[:, order])
+    return np.concatenate(faces)
 
 
 def _distance_to_ellipse(x: FloatLike, y: FloatLike, x_m: float, y_m: float) -> FloatLike:

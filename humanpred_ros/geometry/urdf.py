@@ -79,8 +79,9 @@ def _parse(text: str, folder: Path | None) -> Description:
     if robot.tag != "robot":
         raise UsageError(f"wanted a URDF with the root element <robot>, got <{robot.tag}>")
     said = _read_elements(robot)
+    _complete_limits(robot)
     try:
-        tree = pin.buildModelFromXML(text)
+        tree = pin.buildModelFromXML(ElementTree.tostring(robot, encoding="unicode"))
     except (ValueError, RuntimeError) as trouble:
         raise UsageError(f"wanted one tree of links, pinocchio says: {trouble}") from trouble
     names = tuple(str(name) for name in tree.names)[1:]
@@ -152,6 +153,19 @@ def _limits(joint: Any) -> tuple[float, float, float]:
     if joint.type == "continuous" or limit is None:
         return -np.inf, np.inf, speed
     return float(limit.lower or 0.0), float(limit.upper or 0.0), speed
+
+
+def _complete_limits(robot: ElementTree.Element) -> None:
+    """Add what pinocchio wants of limits and nobody here reads; speeds that are unknown stay so."""
+    for joint in robot.iterfind("joint"):
+        limit = joint.find("limit")
+        if limit is None and joint.get("type") in ("revolute", "prismatic"):
+            raise UsageError(
+                f"URDF joint {joint.get('name')}: wanted a <limit>, got none; add lower, upper and velocity"
+            )
+        for name in ("effort", "velocity"):
+            if limit is not None and name not in limit.attrib:
+                limit.set(name, "0")
 
 
 def _marks(link: ElementTree.Element) -> dict[str, float | None]:

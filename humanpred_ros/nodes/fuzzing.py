@@ -64,7 +64,6 @@ from humanpred_ros.nodes.stomp_planner import StompPlannerNode
 from humanpred_ros.occupancy.baselines import CurrentOccupancyPredictor
 from humanpred_ros.recognition.training import classifier_settings, save_model, train_model
 from humanpred_ros.resources import locate
-from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
 from humanpred_ros.robot.scene import load_scene
 
 HANG_S = 2.0
@@ -135,7 +134,10 @@ class Bench:
             for k, cloud in enumerate(self.clouds):
                 t_ns = _START_NS + k * STEP_NS
                 for topic, message in (
-                    (topics.JOINT_STATES, conversions.joint_state(RIGHT_ARM_JOINTS, self.scene.start, t_ns)),
+                    (
+                        topics.JOINT_STATES,
+                        conversions.joint_state(self.scene.arm.chain.joint_names, self.scene.start, t_ns),
+                    ),
                     (topics.OCCUPANCY, stamped(cloud, t_ns)),
                     (topics.DECISION, decision(t_ns)),
                 ):
@@ -343,7 +345,7 @@ class ArmTarget(Target):
 
 def _trajectory(bench: Bench, rng: np.random.Generator, now_ns: int) -> Any:
     """Return a quick trajectory of three points about the scene's start."""
-    message = JointTrajectory(joint_names=list(RIGHT_ARM_JOINTS))
+    message = JointTrajectory(joint_names=list(bench.scene.arm.chain.joint_names))
     message.header.stamp = conversions.time_message(now_ns)
     for k in range(3):
         q = bench.scene.start + 0.1 * rng.standard_normal(len(bench.scene.start))

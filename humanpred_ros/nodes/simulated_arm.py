@@ -17,8 +17,7 @@ from humanpred_ros.nodes.lifecycle import NodeSettings
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.nodes.trajectory_action import TrajectoryActionServer
 from humanpred_ros.nodes.trajectory_controller import ControllerSettings, TrajectoryController
-from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
-from humanpred_ros.robot.scene_file import read_scene_file
+from humanpred_ros.robot.scene_file import read_scene_file, start_of
 from humanpred_ros.settings import setting
 
 _GUARD_PERIOD_S = 0.02
@@ -53,11 +52,9 @@ class SimulatedArm(GraphNode):
 
     def configure(self) -> None:
         self.settings = settings = declare(self, SimulatedArmSettings)
+        self.joint_names, start = start_of(read_scene_file(settings.scene))
         self.controller = TrajectoryController(
-            RIGHT_ARM_JOINTS,
-            read_scene_file(settings.scene).angle("start"),
-            settings.velocity_limit,
-            settings.part(ControllerSettings),
+            self.joint_names, start, settings.velocity_limit, settings.part(ControllerSettings)
         )
         self.controller.stuck = settings.stuck
         #: Factors of the trajectory's time by whom they are from.
@@ -171,7 +168,7 @@ class SimulatedArm(GraphNode):
         if self.action is not None:
             self.action.tell(now_ns)
         q, v = self.controller.q, self.controller.v
-        self.publisher.publish(conversions.joint_state(RIGHT_ARM_JOINTS, q, now_ns, v=v))
+        self.publisher.publish(conversions.joint_state(self.joint_names, q, now_ns, v=v))
 
 
 main = entry_point(SimulatedArm)

@@ -42,7 +42,7 @@ _log = logging.getLogger(__name__)
 
 
 class Arm(Protocol):
-    """What planning needs of a robot's arm of D joints that stands somewhere, such as `robot.pr2.Pr2Arm`.
+    """What planning needs of a robot's arm of D joints that stands somewhere, such as `robot.arm.Arm`.
 
     Attributes:
         chain: its kinematics.
@@ -107,7 +107,7 @@ class Problem:
         self.task_costs = {goal.name: goal.task_cost for goal in goals}
         self.weights = np.array([float(arm.configuration_distance(np.zeros(n), unit)) for unit in np.eye(n)])
         self.velocity_limit = config.velocity_scale * arm.chain.velocity_limit
-        self.acceleration_limit = np.array(np.broadcast_to(config.acceleration_limit, (n,)), dtype=np.float64)
+        self.acceleration_limit = np.minimum(config.acceleration_limit, arm.chain.acceleration_limit)
         self.pool = ThreadPoolExecutor(config.threads) if config.threads > 1 else None
         self._request = CostTermRequest(
             arm.chain, arm.body_points(), spheres, field, config.padding_m, config.stomp, Settings()

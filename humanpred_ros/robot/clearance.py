@@ -1,8 +1,8 @@
 """How far the arm is from obstacles, from itself and from a person: the verdict on goals, plans and what was executed.
 
-Forearm and hand can be driven into turret, shoulder and upper arm: within the joint limits about one configuration in
-twenty does so. Spheres cover the surface of what is outwards of the upper arm, boxes fill what is inwards of the
-elbow, so where the meshes overlap, a sphere and a box overlap.
+An arm can be driven into itself: within the joint limits of many arms about one configuration in twenty does so. Of
+two links, boxes fill the inner one and spheres cover the surface of the outer one, so where the meshes overlap, a
+sphere and a box overlap.
 """
 
 from __future__ import annotations
@@ -10,22 +10,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from humanpred_ros.errors import ArrayError, HumanModelError
-from humanpred_ros.geometry.chain import BodyBoxes, BodyPoints, BodySpheres, KinematicChain
+from humanpred_ros.geometry.chain import BodyPoints, BodySpheres, KinematicChain
 from humanpred_ros.geometry.chain_kernels import link_poses
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.compiled import exact
-from humanpred_ros.geometry.solids import Obstacle
+from humanpred_ros.geometry.solids import Obstacle, Sphere
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.robot.pr2 import Pr2Arm
+from humanpred_ros.robot.arm import Arm, drawn
+from humanpred_ros.robot.robot import Robot
+from humanpred_ros.robot.semantics import pair_of
 
 #: Random configurations that decide which bodies are neighbours: those never found apart.
 _SAMPLES = 256
+#: Angles of the first two joints at which the shoulder is looked at.
+_SHOULDER_SAMPLES = (49, 25)
 
 
 @dataclass(frozen=True)
@@ -38,7 +41,7 @@ class Approach:
 
 
 def nearest_approaches(
-    arm: Pr2Arm, spheres: BodySpheres, obstacles: Sequence[Obstacle], q: FloatArray
+    arm: Arm, spheres: BodySpheres, obstacles: Sequence[Obstacle], q: FloatArray
 ) -> tuple[Approach, ...]:
     """Return where the arm comes closest to the obstacles at each of the configurations `q` (N, 7), exactly."""
     q = checked("configurations", q, ("N", arm.chain.n_joints))
@@ -54,36 +57,57 @@ def nearest_approaches(
 
 
 class SelfCollision:
-    """Signed clearance between the bodies of one arm.
+    """Signed clearance between the bodies of one arm, and of those of its robot that stand next to it.
 
-    Bodies of the same joint or of consecutive joints are never compared, nor are pairs whose covers overlap
-    wherever the joints are (forearm against upper arm: the elbow's own limits keep these apart).
-
-    Args:
-        chain: the arm's kinematics.
-        boxes: fill the inner bodies.
-        spheres: cover the outer bodies; those of the same joint as a box, or the next, are left out.
-        link_names: the link each joint moves.
+    Boxes that fill a link are compared with spheres that cover one farther out. Left out are pairs of links that the
+    robot leaves out (of one joint, joined by one joint, or named in its file or SRDF), and those whose covers overlap
+    wherever the joints are: the joint's own limits keep these apart.
 
     Attributes:
-        pairs: (J, J) true where the bodies of joint i (boxes) and joint j (spheres) are compared.
+        pairs: pairs of links that are compared, the inner one first.
     """
 
-    def __init__(
-        self, chain: KinematicChain, boxes: BodyBoxes, spheres: BodySpheres, link_names: tuple[str, ...]
-    ) -> None:
-        self._link_names = link_names
-        n = chain.n_joints
+    def __init__(self, arm: Arm) -> None:
+        robot, chain, n = arm.robot, arm.chain, arm.chain.n_joints
+        self._n_joints = n
+        (boxes, moving), spheres, outer = robot.inner_boxes, robot.spheres, robot.sphere_links
+        frame, centre, half, round_m = (list(part) for part in (boxes.link, boxes.local_m, boxes.half_m, boxes.round_m))
+        inner, standing = list(moving), list[FloatArray]()
+        for near, link, obstacles in arm.fixed_bodies:
+            for obstacle in obstacles if near else ():
+                ball = isinstance(obstacle.shape, Sphere)
+                inner.append(link)
+                frame.append(n + len(standing))
+                standing.append(obstacle.T_world_shape)
+                centre.append(np.zeros(3))
+                half.append(np.full(3, 1e-9) if ball else np.array(obstacle.shape.half_m))
+                round_m.append(obstacle.shape.half_m[0] if ball else 0.0)
+        self._inner, self._outer = tuple(dict.fromkeys(inner)), tuple(dict.fromkeys(outer))
+        joint = {link: robot.joint_of_link(link) for link in (*self._inner, *self._outer)}
+        pairs = np.array(
+            [[joint[a] < joint[b] and pair_of(a, b) not in robot.left_out for b in self._outer] for a in self._inner],
+            dtype=np.bool_,
+        )
         self._chain = (chain.joints, np.arange(1, n + 1), np.tile(np.eye(4), (n, 1, 1)))
+        self._standing = np.array(standing).reshape(-1, 4, 4)
+        body = np.array([self._inner.index(link) for link in inner], dtype=np.int64)
+        used = np.any(pairs, axis=1)[body]
+        frames, bodies, centres, halves, rounds = (
+            np.array(part)[used] for part in (frame, body, centre, half, round_m)
+        )
+        self._boxes = (frames, bodies, centres, halves, rounds)
+        outer_body = np.array([self._outer.index(link) for link in outer], dtype=np.int64)
         # Copies, because numba compiles once more for arrays that are read-only.
-        self._boxes = (boxes.link.copy(), boxes.local_m.copy(), boxes.half_m.copy())
-        self._spheres = (spheres.link.copy(), spheres.local_m.copy(), spheres.radius_m.copy())
-        self.pairs = self._pairs(chain)
+        self._spheres = (spheres.link.copy(), outer_body, spheres.local_m.copy(), spheres.radius_m.copy())
+        self._pairs = self._sometimes_apart(chain, pairs)
+        self.pairs = frozenset((self._inner[a], self._outer[b]) for a, b in np.argwhere(self._pairs).tolist())
 
     @classmethod
-    def for_arm(cls, arm: Pr2Arm) -> SelfCollision:
-        """Return the clearance of the PR2's right arm from itself; arms of the same URDF share the work."""
-        return _shared(arm.urdf)
+    def for_arm(cls, arm: Arm) -> SelfCollision:
+        """Return the clearance of an arm from itself; arms of one robot share the work where they can."""
+        # Where the robot stands does not matter, and its standing joints only for bodies that stand next to the arm.
+        near = any(near for near, _, _ in arm.fixed_bodies)
+        return _shared(arm.robot, tuple(sorted(arm.standing.items())) if near else ())
 
     def clearance(self, q: ArrayLike) -> FloatArray:
         """Return the least signed clearance of each configuration.
@@ -92,60 +116,62 @@ class SelfCollision:
             q: (..., J) configurations in rad.
 
         Returns:
-            (...) metres, negative where covers overlap; never more than the meshes' true distance.
+            (...) metres, negative where covers overlap; never more than the meshes' true distance. inf where nothing
+            is compared.
 
         Raises:
             ArrayError: for another last axis or angles that are not finite.
         """
-        return self._least(q, self.pairs)[0]
+        return self._least(q, self._pairs)[0]
 
     def nearest(self, q: ArrayLike) -> Approach:
         """Return which outer link (`link`) comes closest to which inner one (`obstacle`) at configuration `q` (J,)."""
-        least, sphere, box = self._least(checked("configuration", q, (len(self._link_names),)), self.pairs)
+        least, sphere, box = self._least(checked("configuration", q, (self._n_joints,)), self._pairs)
         return Approach(
-            link=self._link_names[self._spheres[0][sphere]],
-            obstacle=self._link_names[self._boxes[0][box]],
+            link=self._outer[self._spheres[1][sphere]],
+            obstacle=self._inner[self._boxes[1][box]] if len(self._boxes[1]) else "nothing",
             clearance_m=float(least),
         )
 
     def _least(self, q: ArrayLike, pairs: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64]]:
         """Return least clearances (...) with the numbers of sphere and box (...)."""
         q = np.asarray(q)
-        n = len(self._link_names)
-        flat = checked("configurations", q.reshape(-1, q.shape[-1]) if q.ndim else q, ("T", n))
+        flat = checked("configurations", q.reshape(-1, q.shape[-1]) if q.ndim else q, ("T", self._n_joints))
         least, sphere, box = np.empty(len(flat)), np.zeros(len(flat), np.int64), np.zeros(len(flat), np.int64)
         poses = link_poses(np.array(flat), *self._chain)
+        if len(self._standing):
+            still = np.broadcast_to(self._standing, (len(flat), *self._standing.shape))
+            poses = np.concatenate([poses, still], axis=1)
         _least_clearance(poses, *self._boxes, *self._spheres, pairs, least, sphere, box)
         shape = q.shape[:-1]
         return least.reshape(shape), sphere.reshape(shape), box.reshape(shape)
 
-    def _pairs(self, chain: KinematicChain) -> NDArray[np.bool_]:
-        """Return the pairs (J, J) of joints whose bodies are worth comparing."""
-        lower = np.where(chain.continuous, -np.pi, chain.lower)
-        upper = np.where(chain.continuous, np.pi, chain.upper)
-        q = np.random.default_rng(0).uniform(lower, upper, (_SAMPLES, chain.n_joints))
-        pairs = np.zeros((chain.n_joints, chain.n_joints), np.bool_)
-        for inner in sorted(set(self._boxes[0].tolist())):
-            for outer in sorted(set(self._spheres[0].tolist())):
-                one = np.zeros_like(pairs)
-                one[inner, outer] = outer > inner + 1
-                pairs |= one & bool((self._least(q, one)[0] > 0.0).any())
-        return pairs
+    def _sometimes_apart(self, chain: KinematicChain, pairs: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return those of the pairs (inner, outer) whose covers are found apart."""
+        q = drawn(chain, _SAMPLES)
+        found = np.zeros_like(pairs)
+        for inner, outer in np.argwhere(pairs):
+            one = np.zeros_like(pairs)
+            one[inner, outer] = True
+            found |= one & bool((self._least(q, one)[0] > 0.0).any())
+        return found
 
 
-@lru_cache(maxsize=2)
-def _shared(urdf: Path) -> SelfCollision:
-    arm = Pr2Arm(np.eye(4), urdf=urdf)
-    return SelfCollision(arm.chain, arm.inner_boxes(), arm.spheres(), arm.link_names)
+@lru_cache(maxsize=8)
+def _shared(robot: Robot, standing: tuple[tuple[str, float], ...]) -> SelfCollision:
+    return SelfCollision(Arm(robot, np.eye(4), dict(standing)))
 
 
 @exact
 def _least_clearance(
     poses: FloatArray,
-    box_link: NDArray[np.int64],
+    box_frame: NDArray[np.int64],
+    box_body: NDArray[np.int64],
     box_centre: FloatArray,
     box_half: FloatArray,
-    sphere_link: NDArray[np.int64],
+    box_round: FloatArray,
+    sphere_frame: NDArray[np.int64],
+    sphere_body: NDArray[np.int64],
     sphere_centre: FloatArray,
     radius: FloatArray,
     pairs: NDArray[np.bool_],
@@ -156,24 +182,24 @@ def _least_clearance(
     """Write the least of all spheres' distances to all boxes of the pairs, per configuration; inf without pairs.
 
     Args:
-        poses: (T, J, 4, 4) of the joints' frames.
+        poses: (T, F, 4, 4) of the joints' frames, and of those that stand still.
     """
     centre, local = np.empty(3), np.empty(3)
     for t in range(len(poses)):
         least[t] = np.inf
-        for s in range(len(sphere_link)):
-            outer = poses[t, sphere_link[s]]
+        for s in range(len(sphere_frame)):
+            outer = poses[t, sphere_frame[s]]
             for a in range(3):
                 centre[a] = outer[a, 3]
                 for b in range(3):
                     centre[a] += outer[a, b] * sphere_centre[s, b]
-            link = -1
-            for k in range(len(box_link)):
-                if not pairs[box_link[k], sphere_link[s]]:
+            frame = -1
+            for k in range(len(box_frame)):
+                if not pairs[box_body[k], sphere_body[s]]:
                     continue
-                if box_link[k] != link:
-                    link = box_link[k]
-                    inner = poses[t, link]
+                if box_frame[k] != frame:
+                    frame = box_frame[k]
+                    inner = poses[t, frame]
                     for a in range(3):
                         local[a] = 0.0
                         for b in range(3):
@@ -183,12 +209,12 @@ def _least_clearance(
                     beyond = abs(local[a] - box_centre[k, a]) - box_half[k, a]
                     outside += max(beyond, 0.0) ** 2
                     deepest = max(deepest, beyond)
-                distance = np.sqrt(outside) + min(deepest, 0.0) - radius[s]
+                distance = np.sqrt(outside) + min(deepest, 0.0) - radius[s] - box_round[k]
                 if distance < least[t]:
                     least[t], nearest_sphere[t], nearest_box[t] = distance, s, k
 
 
-def nearest_contacts(arm: Pr2Arm, obstacles: Sequence[Obstacle], q: FloatArray) -> tuple[Approach, ...]:
+def nearest_contacts(arm: Arm, obstacles: Sequence[Obstacle], q: FloatArray) -> tuple[Approach, ...]:
     """Return where the arm comes closest to anything, at each of the configurations `q` (N, 7).
 
     The robot's own fixed bodies are among what is looked at, and the arm's own links: there the approach's
@@ -201,18 +227,20 @@ def nearest_contacts(arm: Pr2Arm, obstacles: Sequence[Obstacle], q: FloatArray) 
         ArrayError: for configurations of another shape or not finite.
     """
     q = checked("configurations", q, ("N", arm.chain.n_joints))
-    outside = nearest_approaches(arm, arm.spheres(), (*obstacles, *arm.fixed_obstacles), q)
-    itself = SelfCollision.for_arm(arm)
+    itself, everything = SelfCollision.for_arm(arm), (*obstacles, *arm.fixed_obstacles)
+    if not everything:
+        return tuple(itself.nearest(one) for one in q)
+    outside = nearest_approaches(arm, arm.spheres(), everything, q)
     return tuple(
         itself.nearest(one) if inside < approach.clearance_m else approach
         for one, inside, approach in zip(q, itself.clearance(q), outside, strict=True)
     )
 
 
-def shoulder_approach(arm: Pr2Arm, obstacles: Sequence[Obstacle]) -> Approach:
-    """Return where turret and shoulder come closest to obstacles, whatever the arm does.
+def shoulder_approach(arm: Arm, obstacles: Sequence[Obstacle]) -> Approach | None:
+    """Return where the shoulder comes closest to obstacles, whatever the arm does; None for an arm without one.
 
-    Planners leave these two out (`Pr2Arm.spheres`); nothing may stand where they could get to.
+    Planners leave the shoulder out (`Arm.spheres`); nothing may stand where it could get to.
 
     Args:
         obstacles: at least one.
@@ -221,17 +249,19 @@ def shoulder_approach(arm: Pr2Arm, obstacles: Sequence[Obstacle]) -> Approach:
         A clearance no larger than the true one: covers and the steps between the sampled angles take
         up to 0.1 m of it.
     """
-    chain, counts = arm.chain, (49, 25)
-    grids = [np.linspace(chain.lower[joint], chain.upper[joint], count) for joint, count in enumerate(counts)]
-    q = np.zeros((counts[0] * counts[1], chain.n_joints))
-    q[:, :2] = np.stack(np.meshgrid(*grids, indexing="ij"), axis=-1).reshape(-1, 2)
-    spheres = arm.shoulder_spheres()
+    chain, spheres = arm.chain, arm.robot.shoulder_spheres
+    if spheres is None:
+        return None
+    # A joint that turns without end is sampled over one turn.
+    lower, upper = np.where(chain.continuous, -np.pi, chain.lower), np.where(chain.continuous, np.pi, chain.upper)
+    grids = [np.linspace(lower[j], upper[j], count) for j, count in enumerate(_SHOULDER_SAMPLES[: chain.n_joints])]
+    q = np.zeros((int(np.prod([len(grid) for grid in grids])), chain.n_joints))
+    q[:, : len(grids)] = np.stack(np.meshgrid(*grids, indexing="ij"), axis=-1).reshape(-1, len(grids))
     nearest = min(nearest_approaches(arm, spheres, obstacles, q), key=lambda approach: approach.clearance_m)
     # No point moves farther between a sampled angle and the middle of two than half the step times its arm.
     half_steps = sum(float(grid[1] - grid[0]) / 2.0 for grid in grids)
-    lever = float(np.linalg.norm(chain.joint_origin_m[1])) + float(
-        (np.linalg.norm(spheres.local_m, axis=1) + spheres.radius_m).max()
-    )
+    between = float(np.linalg.norm(chain.joint_origin_m[1])) if len(grids) > 1 else 0.0
+    lever = between + float((np.linalg.norm(spheres.local_m, axis=1) + spheres.radius_m).max())
     return Approach(nearest.link, nearest.obstacle, nearest.clearance_m - half_steps * lever)
 
 
@@ -252,7 +282,7 @@ class Separation:
 class SeparationMeter:
     """Measures the distance between an arm and a human in given postures; what does not change is made once."""
 
-    def __init__(self, arm: Pr2Arm, human: HumanModel, T_world_human: FloatArray, postures: FloatArray) -> None:
+    def __init__(self, arm: Arm, human: HumanModel, T_world_human: FloatArray, postures: FloatArray) -> None:
         """Take T postures (T, D) in the tracker's frame, placed in the world by `T_world_human` (4, 4).
 
         Raises:

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 from humanpred_ros.errors import GoalUnreachableError, SceneError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.geometry.solids import Obstacle
+from humanpred_ros.robot.arm import Arm
 from humanpred_ros.robot.clearance import nearest_contacts
 from humanpred_ros.robot.inverse_kinematics import InverseKinematicsSettings, ToolPose, solve_tool_pose, spread
-from humanpred_ros.robot.pr2 import Pr2Arm
 from humanpred_ros.settings import Settings, setting
 
 
@@ -66,7 +66,7 @@ class ToolGoalSettings(Settings):
 
 
 def tool_goal(
-    arm: Pr2Arm,
+    arm: Arm,
     name: str,
     T_world_tool: ArrayLike,
     start: ArrayLike,
@@ -83,7 +83,7 @@ def tool_goal(
         arm: the arm, placed; its `tool_frame` is the tool.
         name: the goal's name.
         T_world_tool: (4, 4) wanted pose of the tool.
-        start: (7,) rad; the nearest configuration to it becomes the goal's first, and continuous joints
+        start: (J,) rad; the nearest configuration to it becomes the goal's first, and continuous joints
             take the shorter way from it.
         position_tolerance_m: one number, or one along each axis of the wanted pose.
         orientation_tolerance_rad: one number, or one about each axis; pi leaves the tool free to turn about it.
@@ -115,9 +115,9 @@ def tool_goal(
 
 
 def _free(
-    arm: Pr2Arm, what: str, configurations: FloatArray, obstacles: Sequence[Obstacle], clearance_m: float
+    arm: Arm, what: str, configurations: FloatArray, obstacles: Sequence[Obstacle], clearance_m: float
 ) -> FloatArray:
-    """Return those of the configurations (N, 7) that keep their distance to everything."""
+    """Return those of the configurations (N, J) that keep their distance to everything."""
     contacts = nearest_contacts(arm, obstacles, configurations)
     clearance = np.array([contact.clearance_m for contact in contacts])
     if (clearance < clearance_m).all():

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from humanpred_ros.errors import SceneError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
-from humanpred_ros.robot.pr2 import Pr2Arm
+from humanpred_ros.robot.arm import Arm
 from humanpred_ros.settings import LARGEST_SEED, Settings, setting
 
 _RIGID = 1e-6
@@ -148,7 +148,7 @@ class InverseKinematicsSettings(Settings):
 class InverseKinematics:
     """What was found."""
 
-    #: (K, 7) rad, the nearest to the start first, continuous joints the shorter way from it; K = 0 if the pose was not
+    #: (K, J) rad, the nearest to the start first, continuous joints the shorter way from it; K = 0 if the pose was not
     #: reached
     configurations: FloatArray
     missing_m: float  #: how far beyond its tolerances the tool stays at best, 0 if it was reached
@@ -156,7 +156,7 @@ class InverseKinematics:
 
 
 def solve_tool_pose(
-    arm: Pr2Arm, target: ToolPose, start: ArrayLike, settings: InverseKinematicsSettings | None = None
+    arm: Arm, target: ToolPose, start: ArrayLike, settings: InverseKinematicsSettings | None = None
 ) -> InverseKinematics:
     """Find different configurations within the joint limits whose tool pose is within a target's tolerances.
 
@@ -164,7 +164,7 @@ def solve_tool_pose(
     among those found; the others spread over all there are. The same arguments give the same result.
 
     Args:
-        start: (7,) rad, what nearness is measured from.
+        start: (J,) rad, what nearness is measured from.
 
     Raises:
         ArrayError: for a start of another shape or not finite.
@@ -197,11 +197,11 @@ def solve_tool_pose(
     return InverseKinematics(spread(arm, solutions, settings.duplicate_distance), 0.0, 0.0)
 
 
-def spread(arm: Pr2Arm, configurations: FloatArray, separation: float, most: int | None = None) -> FloatArray:
-    """Return the first configurations (K, 7) that keep a configuration distance from all kept before them.
+def spread(arm: Arm, configurations: FloatArray, separation: float, most: int | None = None) -> FloatArray:
+    """Return the first configurations (K, J) that keep a configuration distance from all kept before them.
 
     Args:
-        configurations: (N, 7), the most wanted first.
+        configurations: (N, J), the most wanted first.
         separation: least distance between two that are kept.
         most: how many are kept at most, as many as there are by default.
     """
@@ -221,9 +221,9 @@ def _missing(error: FloatArray) -> FloatArray:
 
 
 def _seeds(
-    arm: Pr2Arm, start: FloatArray, lower: FloatArray, upper: FloatArray, settings: InverseKinematicsSettings
+    arm: Arm, start: FloatArray, lower: FloatArray, upper: FloatArray, settings: InverseKinematicsSettings
 ) -> FloatArray:
-    """Return seeds (N, 7) within the limits, the start first."""
+    """Return seeds (N, J) within the limits, the start first."""
     endless = arm.chain.continuous
     low, high = np.where(endless, start - np.pi, lower), np.where(endless, start + np.pi, upper)
     n = arm.chain.n_joints
@@ -238,8 +238,8 @@ def _seeds(
     return seeds
 
 
-def _stepped(arm: Pr2Arm, q: FloatArray, error: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return configurations (N, 7) after one step against the errors (N, 6), within the limits."""
+def _stepped(arm: Arm, q: FloatArray, error: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Return configurations (N, J) after one step against the errors (N, 6), within the limits."""
     J = _jacobian(arm, q)
     damping = _DAMPING * (error**2).sum(axis=1) + _LEAST_DAMPING
     step = _solved(J, error, damping)
@@ -254,14 +254,14 @@ def _stepped(arm: Pr2Arm, q: FloatArray, error: FloatArray, lower: FloatArray, u
 
 
 def _solved(J: FloatArray, error: FloatArray, damping: FloatArray) -> FloatArray:
-    """Return the damped least-squares steps (N, 7) for errors (N, 6)."""
+    """Return the damped least-squares steps (N, J) for errors (N, 6)."""
     normal = J @ np.swapaxes(J, 1, 2) + damping[:, None, None] * np.eye(6)
     step: FloatArray = np.einsum("nij,ni->nj", J, np.linalg.solve(normal, error[..., None])[..., 0])
     return step
 
 
-def _jacobian(arm: Pr2Arm, q: FloatArray) -> FloatArray:
-    """Return (N, 6, 7): velocity of the tool's origin, then angular velocity, world axes, per joint."""
+def _jacobian(arm: Arm, q: FloatArray) -> FloatArray:
+    """Return (N, 6, J): velocity of the tool's origin, then angular velocity, world axes, per joint."""
     poses = arm.chain.link_poses(q)
     tool = (poses[:, -1] @ arm.chain.T_last_tool)[:, None, :3, 3]
     axis = np.einsum("njab,jb->nja", poses[..., :3, :3], arm.chain.joint_axis)

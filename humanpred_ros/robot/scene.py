@@ -17,10 +17,11 @@ from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.geometry.distance_field import DEFAULT_RESOLUTION_M, SignedDistanceField, build_distance_field
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.geometry.solids import Box, Obstacle, cylinder, planar_pose
+from humanpred_ros.robot.arm import Arm
 from humanpred_ros.robot.clearance import nearest_contacts, shoulder_approach
 from humanpred_ros.robot.goals import Goal, tool_goal
-from humanpred_ros.robot.pr2 import Pr2Arm
-from humanpred_ros.robot.scene_file import GoalSection, SceneFile, read_scene_file
+from humanpred_ros.robot.robot import load_robot
+from humanpred_ros.robot.scene_file import GoalSection, RobotSection, SceneFile, read_scene_file, start_of
 
 #: Distances beyond this need not be told apart: links are skipped, and movements proven free, well below it, m.
 _FIELD_CAP_M = 0.5
@@ -54,8 +55,8 @@ class Scene:
     """
 
     name: str  #: how reports call it
-    arm: Pr2Arm  #: the robot's right arm, placed
-    start: FloatArray  #: (7,) configuration of the right arm at the beginning
+    arm: Arm  #: the robot's arm, placed
+    start: FloatArray  #: (J,) configuration of the arm at the beginning
     #: at least one, with different names; continuous joints are unwrapped so that `goal.configurations - start` is the
     #: shorter way
     goals: tuple[Goal, ...]
@@ -135,7 +136,7 @@ class Scene:
                     f"{-nearest.clearance_m:.3f} m deep in {nearest.obstacle}; move the obstacle or the configuration"
                 )
         shoulder = shoulder_approach(self.arm, self.obstacles)
-        if shoulder.clearance_m < 0.0:
+        if shoulder is not None and shoulder.clearance_m < 0.0:
             raise SceneError(
                 f"scene {self.name}: wanted nothing where the robot's shoulder can get to, which planners do not "
                 f"look at, got {shoulder.obstacle} within reach of {shoulder.link}; move it or the robot"
@@ -172,12 +173,8 @@ def load_scene(name_or_path: str | Path, *, check: bool = True) -> Scene:
 
 
 def _scene(file: SceneFile) -> Scene:
-    arm = Pr2Arm(
-        planar_pose(*file.robot.base_xy_m, 0.0, float(file.robot.angle("yaw"))),
-        file.robot.torso_lift_m,
-        file.robot.angle("left_arm"),
-    )
-    start = arm.check_configuration(file.angle("start"), f"start of scene {file.name}")
+    arm = _arm(file.robot)
+    start = arm.check_configuration(start_of(file)[1], f"start of scene {file.name}")
     top, size = file.table.top_centre_m, file.table.size_m
     T_world_table = planar_pose(top[0], top[1], top[2] - size[2] / 2.0, float(file.table.angle("yaw")))
     table = Obstacle("table", Box(*size), T_world_table)
@@ -203,20 +200,40 @@ def _scene(file: SceneFile) -> Scene:
     )
 
 
-def _goal(section: GoalSection, arm: Pr2Arm, start: FloatArray, obstacles: Sequence[Obstacle]) -> Goal:
+def _arm(section: RobotSection) -> Arm:
+    """Return the scene's arm, where it stands."""
+    robot, standing = load_robot(section.robot), {name: float(value) for name, value in section.standing.items()}
+    for key, values in section.old_keys.items():
+        joints = robot.file.scene_keys.get(key, ())
+        if len(joints) != len(values):
+            raise SceneError(
+                f"robot {robot.name}: {key}: wanted {len(joints)} numbers, got {len(values)}; use standing, by joint"
+            )
+        standing |= dict(zip(joints, values, strict=True))
+    if section.base_m is not None:
+        return Arm(robot, _pose(section.base_m, section.angle("base_orientation")), standing)
+    assert section.base_xy_m is not None
+    return Arm(robot, planar_pose(*section.base_xy_m, 0.0, float(section.angle("yaw"))), standing)
+
+
+def _pose(place_m: Sequence[float], rpy_rad: FloatArray) -> FloatArray:
+    """Return a (4, 4) pose by place and roll, pitch, yaw about the world's x, y, z in turn, as in a URDF."""
+    from scipy.spatial.transform import Rotation  # takes half a second to import; few scenes turn anything so
+
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("xyz", np.broadcast_to(rpy_rad, 3)).as_matrix()
+    T[:3, 3] = place_m
+    return T
+
+
+def _goal(section: GoalSection, arm: Arm, start: FloatArray, obstacles: Sequence[Obstacle]) -> Goal:
     tool = section.tool_pose
     if tool is None:
         return Goal(section.name, section.angle("configuration"), section.task_cost)
-    from scipy.spatial.transform import Rotation  # takes half a second to import; only tool poses need it
-
-    T_world_tool = np.eye(4)
-    # Roll, pitch and yaw about the world's x, y and z, one after the other, as in a URDF.
-    T_world_tool[:3, :3] = Rotation.from_euler("xyz", tool.angle("orientation")).as_matrix()
-    T_world_tool[:3, 3] = tool.position_m
     return tool_goal(
         arm,
         section.name,
-        T_world_tool,
+        _pose(tool.position_m, tool.angle("orientation")),
         start,
         position_tolerance_m=tool.position_tolerance_m,
         orientation_tolerance_rad=tool.angle("orientation_tolerance"),

@@ -7,95 +7,75 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated
 
-import numpy as np
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    PositiveFloat,
-    StrictInt,
-    ValidationError,
-    model_validator,
-)
+from pydantic import BeforeValidator, Field, PositiveFloat, StrictInt, model_validator
 
 from humanpred_ros.errors import SceneError
-from humanpred_ros.files import file_inside, read_yaml
+from humanpred_ros.files import file_inside
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.resources import share_file
-from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
+from humanpred_ros.robot.robot_file import Number, read_robot_file, robot_with_keys
+from humanpred_ros.robot.sections import Name, Section, read_section
 
 #: The file in which a run keeps the scene that it was made with.
 RECORDED_SCENE = "scene.yaml"
 
 Triple = tuple[float, float, float]
-ArmAngles = Annotated[
-    tuple[float, ...], Field(min_length=len(RIGHT_ARM_JOINTS), max_length=len(RIGHT_ARM_JOINTS))
-]  # in joint order
+ArmAngles = Annotated[tuple[float, ...], Field(min_length=1, max_length=100)]  # in joint order
 EachAxis = Annotated[
     Triple, BeforeValidator(lambda value: (value,) * 3 if isinstance(value, int | float) else value, Triple | float)
 ]
 
 
-def _name(text: str) -> str:
-    if not text.strip():
-        raise ValueError("wanted a name")
-    return text
+class RobotSection(Section):
+    """Which robot there is, where it stands, and its joints that do not move."""
 
-
-Name = Annotated[str, AfterValidator(_name)]
-
-
-class Section(BaseModel):
-    """One mapping of a scene file; keys that it does not know are refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    optional_angles: ClassVar[tuple[str, ...]] = ()
-
-    @model_validator(mode="before")
-    @classmethod
-    def _known_keys(cls, content: Any) -> Any:
-        valid = ", ".join(cls.model_fields)
-        if not isinstance(content, dict):
-            raise ValueError(f"wanted a mapping with the keys {valid}")
-        unknown = [str(key) for key in content if key not in cls.model_fields]
-        if unknown:
-            raise ValueError(f"unknown key {', '.join(unknown)}; valid keys are {valid}")
-        return content
+    optional_angles = ("base_orientation", "yaw", "left_arm")
+    name: Name | None = Field(None, description="A robot of the package, or the file of one, relative to this file")
+    base_m: Triple | None = Field(None, description="Place of the robot's base, world frame (m)")
+    base_orientation_rad: Triple | None = Field(
+        None, description="Its roll, pitch, yaw about the world's x, y, z axes (rad); none: upright"
+    )
+    base_orientation_deg: Triple | None = Field(None, description="The same in degrees")
+    standing: dict[Name, Number] = Field(
+        {}, max_length=1000, description="Joints that stand elsewhere than the robot's file says (rad or m)"
+    )
+    base_xy_m: tuple[float, float] | None = Field(
+        None, description="Place of a base on the floor, world frame (m), instead of base_m"
+    )
+    yaw_rad: float | None = Field(None, description="Turn of such a base about the vertical (rad)")
+    yaw_deg: float | None = Field(None, description="The same in degrees")
+    torso_lift_m: float | None = Field(
+        None, description="Joint of robots whose file knows this key of scene files of before (m); use standing"
+    )
+    left_arm_rad: ArmAngles | None = Field(None, description="Joints, as torso_lift_m (rad)")
+    left_arm_deg: ArmAngles | None = Field(None, description="The same in degrees")
 
     @model_validator(mode="after")
-    def _one_spelling(self) -> Section:
-        for key in type(self).model_fields:
-            name = key.removesuffix("_rad")
-            if name == key:
-                continue
-            given = [spelling for spelling in (key, f"{name}_deg") if getattr(self, spelling) is not None]
-            if len(given) > 1 or not (given or name in self.optional_angles):
-                raise ValueError(f"wanted either {name}_rad or {name}_deg, got {' and '.join(given) or 'neither'}")
+    def _one_base(self) -> RobotSection:
+        if (self.base_m is None) == (self.base_xy_m is None):
+            raise ValueError("wanted base_m, or base_xy_m for a base on the floor; state the place in one way")
+        if self.has_angle("yaw") != (self.base_xy_m is not None):
+            raise ValueError("wanted yaw_rad or yaw_deg with base_xy_m alone; with base_m use base_orientation_deg")
+        if self.base_m is None and self.has_angle("base_orientation"):
+            raise ValueError("wanted base_orientation with base_m alone; with base_xy_m use yaw_deg")
         return self
 
-    def has_angle(self, name: str) -> bool:
-        """Return whether the file states an angle, in either unit."""
-        return getattr(self, f"{name}_rad") is not None or getattr(self, f"{name}_deg") is not None
+    @property
+    def old_keys(self) -> dict[str, tuple[float, ...]]:
+        """Values (rad or m) of keys that only robots with such `scene_keys` have."""
+        found: dict[str, tuple[float, ...]] = {}
+        if self.torso_lift_m is not None:
+            found["torso_lift_m"] = (self.torso_lift_m,)
+        if self.has_angle("left_arm"):
+            found["left_arm"] = tuple(self.angle("left_arm").tolist())
+        return found
 
-    def angle(self, name: str) -> FloatArray:
-        """Return an angle or several in rad, an array () or (N,), whatever the file's unit; 0 if it states none."""
-        degrees, radians = getattr(self, f"{name}_deg"), getattr(self, f"{name}_rad")
-        return np.asarray((radians or 0.0) if degrees is None else np.deg2rad(degrees), dtype=np.float64)
-
-
-class RobotSection(Section):
-    """Where the robot stands, and its joints that do not move."""
-
-    base_xy_m: tuple[float, float] = Field(description="Place of the robot's base on the floor, world frame (m)")
-    yaw_rad: float | None = Field(None, description="Turn of the base about the vertical (rad)")
-    yaw_deg: float | None = Field(None, description="The same in degrees")
-    torso_lift_m: float = Field(description="Height of the torso, 0 to 0.31 (m)")
-    left_arm_rad: ArmAngles | None = Field(None, description="Configuration of the resting left arm (rad)")
-    left_arm_deg: ArmAngles | None = Field(None, description="The same in degrees")
+    @property
+    def robot(self) -> str:
+        """Name of the robot, or path of its file."""
+        return self.name or robot_with_keys(set(self.old_keys))
 
 
 class ToolPoseSection(Section):
@@ -190,6 +170,22 @@ class SceneFile(Section):
     )
 
 
+def start_of(file: SceneFile) -> tuple[tuple[str, ...], FloatArray]:
+    """Return the names of the robot's J joints, and the configuration (J,) rad at the beginning.
+
+    Raises:
+        RobotError: for an unknown robot.
+        SceneError: for a configuration of another length.
+    """
+    joints = read_robot_file(file.robot.robot).joints
+    start = file.angle("start")
+    if len(start) != len(joints):
+        raise SceneError(
+            f"scene {file.name}: start: wanted {len(joints)} angles ({', '.join(joints)}), got {len(start)}; correct it"
+        )
+    return joints, start
+
+
 def scene_names() -> tuple[str, ...]:
     """Return the names of the scenes that come with the package."""
     return tuple(sorted(path.stem for path in share_file("config", "scenes").glob("*.yaml")))
@@ -232,21 +228,9 @@ def read_scene_file(name_or_path: str | Path) -> SceneFile:
                 f"scene: wanted one of {', '.join(scene_names())} or the path of a .yaml file, got {str(path)!r}"
             )
         path = share_file("config", "scenes", f"{name_or_path}.yaml")
-    try:
-        return SceneFile.model_validate(read_yaml(path, SceneError))
-    except ValidationError as trouble:
-        raise SceneError(f"scene {path.stem}{_reason(trouble)}") from None
-
-
-def _reason(trouble: ValidationError) -> str:
-    """Return the place and kind of the first thing that is wrong with a file."""
-    first = trouble.errors()[0]
-    place, missing = list(first["loc"]), first["type"] == "missing"
-    last = place.pop() if missing else ""
-    where = "".join(f"[{part}]" if isinstance(part, int) else f": {part}" for part in place)
-    if isinstance(last, int):
-        return f"{where}: wanted at least {last + 1} numbers, got {first['input']!r:.80}; correct it"
-    if missing:
-        return f"{where}: the key {last} is missing; add it"
-    said = str(first.get("ctx", {}).get("error", "")) or first["msg"][:1].lower() + first["msg"][1:]
-    return f"{where}: {said}, got {first['input']!r:.80}; correct it"
+    file = read_section(path, SceneFile, f"scene {path.stem}", SceneError)
+    name = file.robot.name
+    if name and Path(name).suffix in (".yaml", ".yml"):
+        robot = file.robot.model_copy(update={"name": str(path.parent / name)})
+        file = file.model_copy(update={"robot": robot})
+    return file

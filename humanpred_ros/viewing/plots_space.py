@@ -148,7 +148,15 @@ def _draw_scene(axes: Axes, analysis: Analysis, *, faint: bool = False) -> None:
     if not faint:
         x, y = workcell.scene.T_world_base[:2, 3]
         axes.plot(x, y, marker="P", color=_ROBOT, markersize=9, linestyle="none", zorder=2)
-        axes.annotate("PR2", (x, y), xytext=(0, 8), textcoords="offset points", ha="center", color=_ROBOT, fontsize=8)
+        axes.annotate(
+            workcell.scene.arm.robot.name,
+            (x, y),
+            xytext=(0, 8),
+            textcoords="offset points",
+            ha="center",
+            color=_ROBOT,
+            fontsize=8,
+        )
 
 
 def _hue_of(name: str, hues: Mapping[str, str]) -> str:

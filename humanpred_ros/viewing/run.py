@@ -16,10 +16,11 @@ from humanpred_ros import topics
 from humanpred_ros.bags import messages
 from humanpred_ros.bags.metadata import TopicInfo
 from humanpred_ros.bags.reader import BagReader
-from humanpred_ros.errors import BagError
+from humanpred_ros.errors import BagError, HumanPredError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
-from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
+from humanpred_ros.robot.robot_file import read_robot_file
+from humanpred_ros.robot.scene_file import read_scene_file, recorded_scene
 from humanpred_ros.viewing import recorded
 
 #: Names of a run's latencies; the wall-clock times of sending are compared.
@@ -34,8 +35,8 @@ _SENDING = ("replan", "evade")
 _SAMPLES_MOVING, _SAMPLES_AT_REST = 60, 20
 #: Messages of one topic that are read: an arm's joint states at 1 kHz for eight minutes, or at 30 Hz for hours.
 _MOST_MESSAGES = 500_000
-#: The arm's joints that turn without end.
-_ENDLESS = ("r_forearm_roll_joint", "r_wrist_roll_joint")
+#: No joint turns half a turn in less time, s.
+_HALF_TURN_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,7 @@ def read_run(folder: str | Path, namespace: str | None = None) -> Run:
         posterior=_posterior(goals, origin_ns),
         occupancy=occupied.track(recorded.grid_of(grid) if grid else None, origin_ns),
         decisions=_numbered(decisions, notes),
-        robot=_robot(robot, origin_ns),
+        robot=_robot(robot, _arm_joints(folder, facts, sent, robot), origin_ns),
         trajectories=tuple(recorded.trajectory_of(e.message, origin_ns) for e in sent),
         latencies=(
             _delays(POSTURE_TO_OCCUPANCY, human, {entry.stamp_ns: entry for entry in occupied.entries}, origin_ns),
@@ -213,12 +214,22 @@ def _postures(entries: list[Entry], notes: list[str]) -> recorded.JointTrack:
     return replace(track, frame_id=str(first.message.header.frame_id))
 
 
-def _robot(entries: list[Entry], origin_ns: int) -> recorded.JointTrack:
-    track = _joints(entries, RIGHT_ARM_JOINTS, origin_ns)  # on a real robot others publish states of other joints
+def _arm_joints(folder: Path, facts: Mapping[str, str], sent: list[Entry], states: list[Entry]) -> tuple[str, ...]:
+    """Return the arm's joints: those of the scene's robot, else those that were commanded, else all."""
+    try:
+        return read_robot_file(read_scene_file(recorded_scene(folder, facts.get("scene", ""))).robot.robot).joints
+    except HumanPredError:
+        return next(
+            (tuple(entry.message.joint_names) for entry in sent), tuple(states[0].message.name if states else ())
+        )
+
+
+def _robot(entries: list[Entry], names: tuple[str, ...], origin_ns: int) -> recorded.JointTrack:
+    track = _joints(entries, names, origin_ns)  # on a real robot others publish states of other joints
+    # Encoders of joints that turn without end start anew after a full turn.
+    turns = np.round(np.diff(track.q, axis=0) / (2.0 * np.pi)) * (np.diff(track.t_s) < _HALF_TURN_S)[:, None]
     q = track.q.copy()
-    for j, name in enumerate(RIGHT_ARM_JOINTS):
-        if name in _ENDLESS and len(q):
-            q[:, j] = np.unwrap(q[:, j])  # encoders of such joints start anew after a full turn
+    q[1:] -= 2.0 * np.pi * np.cumsum(turns, axis=0)
     differences = np.gradient(q, track.t_s, axis=0) if len(q) > 1 else np.zeros_like(q)
     return replace(track, q=q, v=np.where(np.isfinite(track.v), track.v, differences))
 

@@ -13,8 +13,8 @@ from humanpred_ros.errors import HumanModelError, HumanPredError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.solids import Obstacle
 from humanpred_ros.human.model import HumanModel
+from humanpred_ros.robot.arm import Arm
 from humanpred_ros.robot.clearance import SeparationMeter
-from humanpred_ros.robot.pr2 import Pr2Arm
 from humanpred_ros.robot.scene import Scene, load_scene
 from humanpred_ros.robot.scene_file import recorded_scene
 from humanpred_ros.viewing.recorded import JointTrack
@@ -33,7 +33,7 @@ class Workcell:
     notes: tuple[str, ...] = ()  #: why a part is missing
 
     @property
-    def arm(self) -> Pr2Arm | None:
+    def arm(self) -> Arm | None:
         """The robot's arm."""
         return None if self.scene is None else self.scene.arm
 
@@ -44,11 +44,11 @@ class Workcell:
 
     @cached_property
     def goals(self) -> Mapping[str, FloatArray]:
-        """All configurations (K, 7) in which a goal is reached, by name, the preferred one first."""
+        """All configurations (K, J) in which a goal is reached, by name, the preferred one first."""
         return {} if self.scene is None else {goal.name: goal.configurations for goal in self.scene.goals}
 
     def tool_path(self, q: FloatArray) -> FloatArray:
-        """Return the tool's places (T, 3) at configurations (T, 7), world frame; none without an arm."""
+        """Return the tool's places (T, 3) at configurations (T, J), world frame; none without an arm."""
         if self.arm is None or not len(q):
             return np.zeros((0, 3))
         return np.asarray(self.arm.chain.tool_pose(q)[:, :3, 3], dtype=np.float64)

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pr2 import URDF
 
 from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry import urdf as reader
 from humanpred_ros.geometry.description import Description, PlacedDescription
 from humanpred_ros.geometry.solids import Box, Capsule, EllipticCylinder, Sphere, planar_pose
 from humanpred_ros.geometry.urdf import parse_description, read_description
-from humanpred_ros.robot.pr2 import find_pr2_urdf
 
 pytestmark = pytest.mark.core
 
@@ -82,8 +82,8 @@ def test_what_cannot_be_used_is_refused(tmp_path: Path) -> None:
         crane(tmp_path).chain(["turn"], "claw")
     with pytest.raises(UsageError, match=r"joint.*'lift'.*turn"):
         crane(tmp_path).description.limits("lift")
-    with pytest.raises(UsageError, match=r"meshes or boxes.*boom"):
-        crane(tmp_path, geometry='<sphere radius="0.1"/>').moving_surfaces(["turn"])
+    with pytest.raises(UsageError, match=r"tool that moves with turn, got mast"):
+        crane(tmp_path).chain(["turn"], "mast")
     broken = tmp_path / "broken.urdf"
     broken.write_text("<robot")
     with pytest.raises(UsageError, match="readable URDF"):
@@ -93,7 +93,7 @@ def test_what_cannot_be_used_is_refused(tmp_path: Path) -> None:
 
 
 def test_joints_that_do_not_follow_each_other_are_refused() -> None:
-    model = PlacedDescription(read_description(find_pr2_urdf()), np.eye(4), {})
+    model = PlacedDescription(read_description(URDF), np.eye(4), {})
     with pytest.raises(UsageError, match="follow each other"):
         model.chain(["r_shoulder_pan_joint", "r_elbow_flex_joint"], "r_gripper_tool_frame")
 

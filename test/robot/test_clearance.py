@@ -10,6 +10,7 @@ import pytest
 from arm_clearance import arm_clearance, nearest_approach
 from collision_library import Transform, coal
 from human_distance import least_distance_m
+from pr2 import RIGHT_ARM_JOINTS, URDF
 from small_library import REST
 
 from humanpred_ros.errors import ArrayError, HumanModelError
@@ -17,7 +18,6 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.solids import Box, Obstacle, planar_pose
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.robot.clearance import SeparationMeter
-from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS, find_pr2_urdf
 from humanpred_ros.robot.scene import Scene, load_scene
 
 SCENES = {name: load_scene(name) for name in ("face_to_face", "side_by_side")}
@@ -26,11 +26,13 @@ FACE, SIDE = SCENES["face_to_face"], SCENES["side_by_side"]
 
 def mesh_clearance_m(scene: Scene, obstacle: Obstacle, q: np.ndarray, first_joint: int) -> float:
     """Exact distance from the arm's collision meshes, from one joint outwards, to the table or an object."""
-    model = pin.buildModelFromUrdf(str(find_pr2_urdf()))
-    folders = [str(parent) for parent in find_pr2_urdf().parents]
-    geometry = pin.buildGeomFromUrdf(model, str(find_pr2_urdf()), pin.GeometryType.COLLISION, package_dirs=folders)
+    model = pin.buildModelFromUrdf(str(URDF))
+    folders = [str(parent) for parent in URDF.parents]
+    geometry = pin.buildGeomFromUrdf(model, str(URDF), pin.GeometryType.COLLISION, package_dirs=folders)
     data, full = model.createData(), pin.neutral(model)
-    for name, value in zip(("torso_lift_joint", *RIGHT_ARM_JOINTS), (scene.arm.torso_lift_m, *q), strict=True):
+    for name, value in zip(
+        ("torso_lift_joint", *RIGHT_ARM_JOINTS), (scene.arm.standing["torso_lift_joint"], *q), strict=True
+    ):
         joint = model.joints[model.getJointId(name)]
         full[joint.idx_q : joint.idx_q + joint.nq] = value if joint.nq == 1 else (np.cos(value), np.sin(value))
     pin.forwardKinematics(model, data, full)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pr2 import pr2_arm
 from scipy.spatial.transform import Rotation
 
 from humanpred_ros.errors import ArrayError, SceneError, SettingsError
 from humanpred_ros.geometry.solids import planar_pose
 from humanpred_ros.robot.inverse_kinematics import InverseKinematicsSettings, ToolPose, solve_tool_pose, spread
-from humanpred_ros.robot.pr2 import Pr2Arm
 
 pytestmark = pytest.mark.core
 
@@ -99,7 +99,7 @@ def test_poses_that_make_no_sense_are_refused(T: Any, position: Any, orientation
         ToolPose.within(T, position, orientation)
 
 
-ARM = Pr2Arm(planar_pose(0.024, 0.018, 0.0, np.deg2rad(-90.54)))
+ARM = pr2_arm(planar_pose(0.024, 0.018, 0.0, np.deg2rad(-90.54)))
 START = np.deg2rad([-115.807877, 15.206147, -64.424, -104.86128, -24.20327, -66.399792, 159.720137])
 MARGIN = InverseKinematicsSettings().limit_margin_rad
 LOWER = np.where(ARM.chain.continuous, -np.pi, ARM.chain.lower + MARGIN)

@@ -12,25 +12,18 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pr2 import LEFT_ARM_JOINTS, LEFT_ARM_RAD, RIGHT_ARM_JOINTS, TORSO_LIFT_M, URDF, pr2_arm
 from scipy.spatial import ConvexHull, cKDTree
 
-from humanpred_ros.errors import GoalUnreachableError, SceneError, UsageError
+from humanpred_ros.errors import GoalUnreachableError, RobotError, SceneError
 from humanpred_ros.geometry.solids import planar_pose
-from humanpred_ros.robot.pr2 import (
-    LEFT_ARM_JOINTS,
-    LEFT_ARM_RAD,
-    RIGHT_ARM_JOINTS,
-    TOOL_FRAME,
-    TORSO_LIFT_M,
-    Pr2Arm,
-    find_pr2_urdf,
-)
+from humanpred_ros.robot.arm import Arm
+from humanpred_ros.robot.robot_file import find_source
 
 pytestmark = pytest.mark.core
 
 T_WORLD_BASE = planar_pose(0.828, -1.336, 0.0, np.deg2rad(151.812))
-ARM = Pr2Arm(T_WORLD_BASE)
-URDF = find_pr2_urdf()
+ARM = pr2_arm(T_WORLD_BASE)
 POINTS = ARM.body_points(0.04)
 UPPER_ARM = RIGHT_ARM_JOINTS.index("r_upper_arm_roll_joint")
 
@@ -86,7 +79,7 @@ def test_chain_agrees_with_pinocchio(q: np.ndarray) -> None:
     for joint, pose in zip(RIGHT_ARM_JOINTS, ARM.chain.link_poses(q), strict=True):
         expected = T_WORLD_BASE @ data.oMi[model.getJointId(joint)].homogeneous
         np.testing.assert_allclose(pose, expected, atol=1e-9)
-    expected = T_WORLD_BASE @ data.oMf[model.getFrameId(TOOL_FRAME)].homogeneous
+    expected = T_WORLD_BASE @ data.oMf[model.getFrameId(ARM.tool_frame)].homogeneous
     np.testing.assert_allclose(ARM.chain.tool_pose(q), expected, atol=1e-9)
 
 
@@ -169,7 +162,7 @@ def test_body_points_lie_on_the_surface_and_come_in_joint_order() -> None:
 
 
 def test_points_and_spheres_are_the_same_for_every_placement() -> None:
-    other = Pr2Arm(planar_pose(-3.0, 2.0, 0.0, 1.0), torso_lift_m=0.1)
+    other = pr2_arm(planar_pose(-3.0, 2.0, 0.0, 1.0), torso_lift_joint=0.1)
     np.testing.assert_array_equal(other.body_points().local_m, ARM.body_points().local_m)
     np.testing.assert_array_equal(other.spheres().local_m, ARM.spheres().local_m)
 
@@ -184,15 +177,15 @@ def test_fixed_obstacles_cover_the_bodies_that_stand_still() -> None:
 
 
 def test_fixed_obstacles_follow_base_torso_and_left_arm() -> None:
-    def centre(arm: Pr2Arm, name: str) -> np.ndarray:
+    def centre(arm: Arm, name: str) -> np.ndarray:
         boxes = [obstacle for obstacle in arm.fixed_obstacles if obstacle.name == name]
         return np.mean([box.T_world_shape[:3, 3] for box in boxes], axis=0)
 
-    here = Pr2Arm(np.eye(4))
-    lower = Pr2Arm(np.eye(4), torso_lift_m=0.01)
-    moved = Pr2Arm(planar_pose(1.0, 2.0))
-    waving = Pr2Arm(np.eye(4), left_arm_rad=np.zeros(7))
-    np.testing.assert_allclose(centre(here, "head_pan_link") - centre(lower, "head_pan_link"), [0, 0, 0.3], atol=1e-9)
+    here = pr2_arm()
+    lower = pr2_arm(torso_lift_joint=0.02)
+    moved = pr2_arm(planar_pose(1.0, 2.0))
+    waving = pr2_arm(**dict.fromkeys(LEFT_ARM_JOINTS, 0.0))
+    np.testing.assert_allclose(centre(here, "head_pan_link") - centre(lower, "head_pan_link"), [0, 0, 0.29], atol=1e-9)
     np.testing.assert_allclose(centre(here, "base_link"), centre(lower, "base_link"))
     np.testing.assert_allclose(centre(moved, "base_link") - centre(here, "base_link"), [1, 2, 0], atol=1e-9)
     assert np.linalg.norm(centre(waving, "l_forearm_link") - centre(here, "l_forearm_link")) > 0.1
@@ -244,15 +237,13 @@ def test_configuration_outside_the_limits_names_joint_value_and_limits() -> None
 
 def test_impossible_robots_are_refused() -> None:
     with pytest.raises(SceneError, match="torso_lift_joint"):
-        Pr2Arm(np.eye(4), torso_lift_m=0.5)
+        pr2_arm(torso_lift_joint=0.5)
     with pytest.raises(SceneError, match="l_elbow_flex_joint"):
-        Pr2Arm(np.eye(4), left_arm_rad=np.full(7, 0.5))
+        pr2_arm(**dict.fromkeys(LEFT_ARM_JOINTS, 0.5))
     with pytest.raises(SceneError, match="robot base"):
-        Pr2Arm(np.zeros(3))
-    with pytest.raises(SceneError, match="left arm"):
-        Pr2Arm(np.eye(4), left_arm_rad=[0.0])
-    with pytest.raises(UsageError, match="does not exist"):
-        Pr2Arm(np.eye(4), urdf=URDF.parent / "missing.urdf")
+        pr2_arm(np.zeros(3))
+    with pytest.raises(SceneError, match="r_elbow_flex_joint, which is planned for"):
+        pr2_arm(r_elbow_flex_joint=0.0)
 
 
 def test_urdf_is_found_below_a_ros_prefix_or_its_absence_explained(
@@ -262,9 +253,9 @@ def test_urdf_is_found_below_a_ros_prefix_or_its_absence_explained(
     monkeypatch.setattr(sys, "path", [])
     monkeypatch.setattr(sys, "prefix", str(tmp_path / "empty"))
     monkeypatch.setenv("AMENT_PREFIX_PATH", "")
-    with pytest.raises(UsageError, match="pip install example-robot-data"):
-        find_pr2_urdf()
+    with pytest.raises(RobotError, match="pip install example-robot-data"):
+        find_source("example-robot-data:pr2", tmp_path, ".urdf")
     elsewhere.parent.mkdir(parents=True)
     elsewhere.write_text("<robot/>")
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"/nowhere:{tmp_path}")
-    assert find_pr2_urdf() == elsewhere
+    assert find_source("example-robot-data:pr2", tmp_path, ".urdf") == elsewhere

@@ -117,7 +117,7 @@ WRONG: dict[str, tuple[Change, type[HumanPredError], str]] = {
     "missing value": (lambda s: s["grid"].pop("shape"), SceneError, "grid: the key shape is missing"),
     "missing angle": (lambda s: s.pop("start_deg"), SceneError, "start_rad or start_deg, got neither"),
     "angle in both units": (lambda s: s.update(start_rad=[0.0] * 7), SceneError, "start_rad and start_deg"),
-    "wrong length": (lambda s: s["start_deg"].pop(), SceneError, "start_deg: .*at least 7 items"),
+    "wrong length": (lambda s: s["start_deg"].pop(), SceneError, "start: wanted 7 angles .*got 6; correct"),
     "not a number": (
         lambda s: s["table"].update(size_m=[1, "wide", 1]),
         SceneError,

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from bag_messages import diagnostic_array, joint_trajectory
 from numpy.typing import NDArray
+from pr2 import RIGHT_ARM_JOINTS
 
 from humanpred_ros.bags import messages
 from humanpred_ros.bags.writer import BagWriter
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.robot.pr2 import RIGHT_ARM_JOINTS
 from humanpred_ros.robot.scene import Scene, load_scene
 from humanpred_ros.viewing.analysis import Analysis, RunSummary, analyse
 from humanpred_ros.viewing.run import Run, read_run
