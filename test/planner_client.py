@@ -46,6 +46,7 @@ class PlannerClient(NodeClient):
 
     Attributes:
         decisions, trajectories, rollouts: what came, in order; `rollouts` only after `watch_rollouts`.
+        gaps_rad: how far each of the trajectories began from where the arm was when it came.
         controller: an arm that follows what it is sent; its joint states are published while `arm_runs`.
     """
 
@@ -55,6 +56,7 @@ class PlannerClient(NodeClient):
         self.decisions: list[Answer] = []
         self.trajectories: list[JointTrajectory] = []
         self.rollouts: list[MarkerArray] = []
+        self.gaps_rad: list[float] = []
         self.controller = TrajectoryController(self.joint_names, scene.start)
         self.arm_runs = False
 
@@ -87,6 +89,8 @@ class PlannerClient(NodeClient):
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         self.trajectories.append(message)
+        self.controller.update(self.now_ns())
+        self.gaps_rad.append(float(np.abs(np.array(message.points[0].positions) - self.controller.q).max()))
         self.controller.command(message, self.now_ns())
 
     def send_cloud(self, cloud: PointCloud2) -> None:

@@ -27,6 +27,8 @@ from humanpred_ros.planning.replanner import Replanner
 _RETRY_S = 1.0
 #: A trajectory that ends sooner could be over before the controller has it, s.
 _LEAST_S = 0.1
+#: A process none of whose threads has looked for so long stood still: what it knows is from before, s.
+_STOOD_S = 0.2
 
 
 class CommandingNode(GraphNode):
@@ -39,6 +41,8 @@ class CommandingNode(GraphNode):
         holding: the hold is for data that are bad, or do not come.
         n_holds, hold_reason: how many holds there were, and why the last one is.
         last_ns, last_now_ns: stamp of the newest occupancy, and the node's time when it came.
+        woke_s: when the process went on after it stood still, on the steady clock, as long as what the arm and the
+            guard have done meanwhile is not known; None once it is.
     """
 
     settings: StompPlannerSettings
@@ -52,6 +56,9 @@ class CommandingNode(GraphNode):
         self.lost_s = 0.0
         self.origin_ns = self.last_ns = self.last_now_ns = 0
         self.n_holds, self.hold_reason = 0, ""
+        self.woke_s: float | None = None
+        self._stood = ""
+        self._looked_s = time.monotonic()
         self.commander = commander(self, settings.command_by, settings.controller, self.on_failed)
         self.decision_publisher = self.create_publisher(DiagnosticArray, topics.DECISION, qos.SENSOR_PUBLISHER)
         self.pictures = PlanPictures(self, replanner.tool_path)
@@ -74,10 +81,39 @@ class CommandingNode(GraphNode):
             except ArrayError as error:
                 self.refuse(str(error))
                 return True
+            if not self.awake():
+                self._come_to(received_s)
             # After the clock was set back, what was commanded when means nothing: the next occupancy begins anew.
-            if self.begun and not (self.settings.lossless or self._clock_is_back()):
+            elif self.begun and not (self.settings.lossless or self._clock_is_back()):
                 self._check_arm(self.arm, received_s)
         return True
+
+    def awake(self) -> bool:
+        """Return whether what is known of arm and guard is from after the process last stood still.
+
+        To be called every few hundredths of a second, too: a process that was stopped, suspended or starved does not
+        know it, and believes what it heard last. Meanwhile the arm has moved on, or a guard has stopped it.
+        """
+        now_s = time.monotonic()
+        stood_s, self._looked_s = now_s - self._looked_s, now_s
+        if stood_s > _STOOD_S and not self.settings.lossless:
+            with self.replanner.lock:
+                self.woke_s = now_s
+                self.arm.following.forget()
+                self._stood = f"the planner stood still for {stood_s:.2f} s, and asks anew where the arm is"
+                if self.begun:
+                    self.replanner.lost = self._stood
+                    self._note_hold(self._stood)
+        return self.woke_s is None
+
+    def _come_to(self, received_s: float) -> None:
+        """Stop the arm where it is, once it and the guard have spoken since the process stood still."""
+        assert self.woke_s is not None
+        if self.arm.sent_since(self.woke_s) and self.arm.speed_known and self.guard.known_since(self.woke_s):
+            self.woke_s = None
+            if self.begun:
+                self._lose(self._stood, received_s)
+                self.lost_s = -math.inf  # planned for again as soon as it is seen at rest
 
     def _check_arm(self, arm: MeasuredArm, received_s: float) -> None:
         """Hold when the arm is not where it was commanded to be; go on from where it is once it rests."""
@@ -163,11 +199,12 @@ class CommandingNode(GraphNode):
         """Send the trajectory first, then the decision: who waits for the decision finds the arm informed."""
         compute_ms = 1e3 * (time.perf_counter() - received_s)
         with self.replanner.lock:
-            held = self.replanner.held
+            awake = self.awake()
+            held = self.replanner.held if awake else self.replanner.lost
             if held and decision.action != HOLD and not self.settings.lossless:
                 # The arm was stopped while this was decided.
                 decision = replace(decision, action=HOLD, reason=held, trajectory=None)
-            if decision.trajectory is not None:
+            if decision.trajectory is not None and awake:
                 # A controller forgets the old trajectory at once: it is sent what is left of it, then the new one.
                 now_s = decision.stamp_s if self.settings.lossless else self.now_s()
                 begin_s = min(now_s, self.replanner.reached_s(decision))

@@ -254,7 +254,9 @@ class PlannerTarget(Target):
     def open(self, node: Any, bench: Bench) -> None:
         # Its times of arrival are those of the messages, not of this process.
         now: Any = SimpleNamespace(
-            monotonic=lambda: node.get_clock().now().nanoseconds * 1e-9, perf_counter=time.perf_counter
+            monotonic=lambda: node.get_clock().now().nanoseconds * 1e-9,
+            time_ns=lambda: node.get_clock().now().nanoseconds,
+            perf_counter=time.perf_counter,
         )
         for module in (stomp_planner, commanding_node, guard_listener, measured_arm, seen_people):
             vars(module)["time"] = now

@@ -12,6 +12,7 @@ from humanpred_ros import topics
 from humanpred_ros.errors import one_line
 from humanpred_ros.nodes import qos
 from humanpred_ros.nodes.base import GraphNode
+from humanpred_ros.nodes.measured_arm import LONGEST_DELAY_S, Delay
 
 #: A guard that has said nothing for so long is dead, hangs, or is cut off, s.
 SILENCE_S = 0.3
@@ -42,7 +43,8 @@ class GuardListener:
         self.factor, self.reason = (0.0, f"no guard: nothing has come on {self._topic} yet") if required else (
             1.0, "",
         )  # fmt: skip
-        self._told, self._said, self._came_s = "", "", -math.inf
+        self._said, self._came_s, self._sent_s = "", -math.inf, -math.inf
+        self._delay = Delay()
         node.listen(String, topics.GUARD_STOP, self._on_reason, qos.COMMAND)
         self._subscription = node.listen(
             Int16, topics.SPEED_FACTOR, self.on_factor, qos.NEWEST_ONLY, max_age_s=SILENCE_S
@@ -54,12 +56,22 @@ class GuardListener:
         if self.heard and silent_s > SILENCE_S:
             self._take(0.0, f"guard silent: {self._topic} has not come for {SILENCE_S:g} s")
 
+    def known_since(self, t_s: float) -> bool:
+        """Return whether what is known of the guard is from after `t_s` on the steady clock, or it is silent."""
+        return not self.heard or self._sent_s >= t_s or time.monotonic() - t_s > SILENCE_S
+
     def _on_reason(self, message: String) -> None:
         self._said = one_line(message.data)
 
     def on_factor(self, message: Int16) -> None:
-        """Take the guard's word."""
-        self.heard, self._came_s = True, time.monotonic()
+        """Take the guard's word, unless it tells of the past: it lay unread while this process stood still."""
+        now_s = time.monotonic()
+        sent_ns = self._node.inputs[self._topic].sent_ns  # 0 where the middleware does not tell
+        late_s = self._delay.of((time.time_ns() - sent_ns) * 1e-9, now_s) if sent_ns > 0 else 0.0
+        if late_s > LONGEST_DELAY_S:
+            self._node.refuse("late speed factor: it was under way for too long to tell what the guard says")
+            return
+        self.heard, self._came_s, self._sent_s = True, now_s, now_s - late_s
         n_guards = self._subscription.get_publisher_count()
         if n_guards > 1:
             self._take(0.0, f"two guards: {n_guards} publish {self._topic}; end all but one")

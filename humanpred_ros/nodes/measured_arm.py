@@ -12,9 +12,9 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.nodes import conversions
 from humanpred_ros.planning.following import ArmFollowing, FollowingSettings
 
-#: A joint state that comes later than this tells of the past, s.
-_LONGEST_DELAY_S = 0.3
-#: How late joint states come at least is looked for in so much time, s.
+#: What comes later than this tells of the past, s.
+LONGEST_DELAY_S = 0.3
+#: How late messages come at least is looked for in so much time, s.
 _WINDOW_S = 1.0
 
 
@@ -34,7 +34,7 @@ class Delay:
             self._began_s, self._least_before, self._least = now_s, self._least, np.inf
         self._least = min(self._least, age_s)
         clocks_s = min(self._least, self._least_before)
-        return age_s if 0.0 <= clocks_s <= _LONGEST_DELAY_S else age_s - clocks_s
+        return age_s if 0.0 <= clocks_s <= LONGEST_DELAY_S else age_s - clocks_s
 
 
 class MeasuredArm:
@@ -44,6 +44,7 @@ class MeasuredArm:
         q, v: (D,) position and velocity; `q` is None before the first joint state.
         came_s: when the newest joint state came, on the steady clock.
         late_s: how long it was under way.
+        speed_known: whether `v` is the driver's word, or seen for long enough.
         following: compares it with what was commanded.
     """
 
@@ -59,6 +60,7 @@ class MeasuredArm:
         self.v: FloatArray = np.zeros(len(joint_names))
         self.came_s = time.monotonic()
         self.late_s = 0.0
+        self.speed_known = False
         self._names, self._difference = joint_names, difference
         self._delay = Delay()
 
@@ -73,7 +75,7 @@ class MeasuredArm:
         now_s, stamp_ns = time.monotonic(), conversions.stamp_ns(message.header.stamp)
         # A stamp of zero is none.
         late_s = self._delay.of((now_ns - stamp_ns) * 1e-9, now_s) if stamp_ns else 0.0
-        if late_s > _LONGEST_DELAY_S:
+        if late_s > LONGEST_DELAY_S:
             return False
         self.came_s, self.late_s = now_s, late_s
         if self.q is not None:
@@ -81,7 +83,12 @@ class MeasuredArm:
             q = self.q + self._difference(self.q, q)
         self.following.see(q, now_s)
         self.q, self.v = q, self.following.velocity if v is None else v
+        self.speed_known = v is not None or self.following.known
         return True
+
+    def sent_since(self, t_s: float) -> bool:
+        """Return whether the newest joint state was sent after `t_s` on the steady clock."""
+        return self.came_s - self.late_s >= t_s
 
     def position_now(self) -> FloatArray:
         """Return where the arm is by now (D,): it moved on while the joint state was under way, though not far."""

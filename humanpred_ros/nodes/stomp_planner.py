@@ -200,6 +200,9 @@ class StompPlannerNode(CommandingNode):
                 f"no arm: its joints have not come on {self.resolve_topic_name(topics.JOINT_STATES)}", stamp_ns
             )
             return False
+        if not self.awake():
+            self._wait_with_hold("stood still: waiting to hear where the arm is by now", stamp_ns)
+            return False
         others = self.others.names()
         if others:
             self._wait_with_hold(f"{_TWO}: {others} commands this arm already; end one of them", stamp_ns)
@@ -301,6 +304,7 @@ class StompPlannerNode(CommandingNode):
     def _watch(self) -> None:
         """Hold when joint states, human data or finished steps have not come for too long."""
         while not self._closing.wait(_WATCH_PERIOD_S):
+            self.awake()
             self.guard.look()
             looked_s = time.perf_counter()
             with self.replanner.lock:

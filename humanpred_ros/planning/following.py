@@ -73,6 +73,10 @@ class ArmFollowing:
         while len(self._seen) > 2 and self._seen[1][0] <= t_s - self.settings.rest_s:
             self._seen.popleft()
 
+    def forget(self) -> None:
+        """Begin anew: the arm was not looked at for some time."""
+        self._seen.clear()
+
     @property
     def known(self) -> bool:
         """Whether the arm has been seen for long enough to tell if it rests."""

@@ -157,6 +157,28 @@ def test_the_planner_obeys_the_guard_and_notices_its_end(session: Session) -> No
     session.until_moving()
 
 
+def test_a_planner_that_stood_still_commands_nothing_before_it_knows_where_the_arm_is(session: Session) -> None:
+    client, process = session.client, session.client.process.process
+    guard = Guard(session)
+    for stops in (True, False):  # the guard stops the arm meanwhile, as it hears no planner; or the arm moves on
+        session.until_moving()
+        process.send_signal(signal.SIGSTOP)
+        n_sent, since_s = len(client.trajectories), client.now_ns() * 1e-9
+        guard.percent, guard.reason = (0, "silent planner") if stops else (100, "")
+
+        def stood(since_s: float = since_s) -> bool:
+            client.spin()
+            return client.now_ns() * 1e-9 - since_s > 1.0
+
+        wait_until(stood, "a planner that stands", 30.0)
+        process.send_signal(signal.SIGCONT)
+        session.until_hold("the planner stood still")
+        session.go_on(lambda n=n_sent: len(client.trajectories) > n, "the stop from where the arm is")
+        guard.percent, guard.reason = 100, ""
+        session.until_moving()
+        assert max(client.gaps_rad[n_sent:]) < TOLERANCE_RAD
+
+
 def test_a_stamp_ahead_holds_and_spoils_nothing(session: Session) -> None:
     for _ in range(2):
         session.until_moving()
