@@ -18,6 +18,7 @@ def data_files(folder: str) -> list[tuple[str, list[str]]]:
 
 
 NODES = [
+    "skeleton_tracker",
     "skeleton_tracker_replay",
     "occupancy_predictor",
     "stomp_planner",

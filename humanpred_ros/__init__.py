@@ -8,6 +8,7 @@
 | `Motion`, `MotionLibrary` | one timed motion, and a library of them |
 | `train`, `save_model`, `load_model` | what classifiers learn from a library, and its file |
 | `load_scene` | arm, table, tasks, lattice and tracker of a scene |
+| `SkeletonTracker` | points of any body tracker, frame after frame, to postures |
 | `make_predictor` | posture after posture to predicted human occupancy |
 | `Occupancy` | a probability for each voxel |
 | `Replanner`, `ReplannerConfig` | P1's Algorithm 1: occupancy after occupancy to decisions and trajectories |
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from humanpred_ros.api import write_library as write_library
     from humanpred_ros.errors import HumanPredError as HumanPredError
     from humanpred_ros.geometry.lattice import Occupancy as Occupancy
+    from humanpred_ros.human.skeleton_tracker import SkeletonTracker as SkeletonTracker
     from humanpred_ros.motion.motion import Motion as Motion
     from humanpred_ros.motion.motion import MotionLibrary as MotionLibrary
     from humanpred_ros.occupancy.predictor import Prediction as Prediction
@@ -55,6 +57,7 @@ _MODULES = {
     "api": "human_of load_library load_model make_predictor save_model train write_library",
     "errors": "HumanPredError",
     "geometry.lattice": "Occupancy",
+    "human.skeleton_tracker": "SkeletonTracker",
     "motion.motion": "Motion MotionLibrary",
     "occupancy.predictor": "Prediction Predictor",
     "planning.replanner": "Replanner",

@@ -67,6 +67,11 @@ def human_markers(body_id: str) -> str:
     return f"humans/bodies/{body_id}/markers"
 
 
+def human_lost(body_id: str) -> str:
+    """Return the topic on which a tracker says which points of a body it does not see."""
+    return f"humans/bodies/{body_id}/lost"
+
+
 def body_topic(topics: Iterable[str], of: Callable[[str], str]) -> str | None:
     """Return the topic of the tracked body (the first by name) among `topics`, None if there is none.
 

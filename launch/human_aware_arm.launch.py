@@ -26,6 +26,7 @@ from humanpred_ros import topics
 PARTS = {
     "arm": ("true", "start simulated_arm; false: there is a driver or a simulator with a trajectory controller"),
     "tracker": ("true", "start skeleton_tracker_replay; false: there is a body tracker"),
+    "live_tracker": ("false", "start skeleton_tracker for a body tracker's points, instead of the replay"),
     "predictor_node": ("true", "start occupancy_predictor; false: somebody else publishes the occupancy"),
     "planner": ("true", "start stomp_planner"),
     "guard": ("false", "start separation_guard; planner and simulated arm then move only while they hear it"),
@@ -39,6 +40,8 @@ TOLD = {
     "predictor": "forecast, swept_volume (P1), reaching (P2), a baseline, or an installed package's",
     "human": "whose postures come: kinect12 (P1, 12 DoFs) or mocap23 (P2, 23 DoFs)",
     "body_id": "REP-155 body id, part of the names of the body's topics",
+    "skeleton": "of the live tracker: which point is which, a name in config/skeletons or a YAML file",
+    "points_topic": "of the live tracker: the topic on which its points come",
 }
 OTHERS = {
     "places": ("", "predictor reaching: places the hand may go to, as in \"['3 -0.22 -0.67 0.80']\""),
@@ -89,6 +92,8 @@ class Graph:
             own: its other parameters.
         """
         given = {name: ParameterValue(self.value[name], value_type=str) for name in told.split() if self.value[name]}
+        if "points_topic" in given:
+            given["topic"] = given.pop("points_topic")
         managed = {"managed": True} if self.on("managed") else {}
         parameters = [self.value["params_file"], {**given, **managed, **own}]
         renamed = {topics.TRAJECTORY: "trajectory_topic", topics.JOINT_STATES: "joint_states_topic"}
@@ -110,7 +115,8 @@ class Graph:
     def nodes(self) -> dict[str, Node]:
         """Return what is to be started, by name; the replay waits for all others that are."""
         clock = {"use_sim_time": True} if self.on("use_sim_time") else {}
-        arm, tracker, guard = self.on("arm"), self.on("tracker"), self.on("guard")
+        arm, guard, live = self.on("arm"), self.on("guard"), self.on("live_tracker")
+        tracker = self.on("tracker") and not live
         predictor, planner = self.on("predictor_node"), self.on("planner")
         watched = {"guard": True} if guard else {}
         nodes = {}
@@ -134,6 +140,11 @@ class Graph:
         if self.value["record"]:  # its end ends nothing: a full disk must not stop the work
             output = ParameterValue(self.value["record"], value_type=str)
             nodes["run_recorder"] = self.node("run_recorder", "body_id", "alone", output=output)
+        if live:
+            own = {"listener": "occupancy_predictor"} if predictor else {}
+            nodes["skeleton_tracker"] = self.node(
+                "skeleton_tracker", "scene skeleton points_topic", "again", **own, **clock
+            )
         if tracker:
             own = {"listener": "occupancy_predictor"} if predictor else {}
             own |= {"publish_clock": True} if clock else {}

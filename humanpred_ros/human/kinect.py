@@ -63,8 +63,8 @@ class KinectPostures:
             person has.
     """
 
-    def __init__(self, frames: int, model: HumanModel) -> None:
-        self._model = model
+    def __init__(self, frames: int, model: HumanModel, slack_rad: float = 0.0) -> None:
+        self._model, self._slack_rad = model, slack_rad
         self.q: FloatArray = np.full((frames, len(model.dof_names)), np.nan)
         self.reasons: list[dict[str, str]] = [{} for _ in range(frames)]
 
@@ -93,7 +93,8 @@ class KinectPostures:
             for earlier in after:
                 self.doubt(np.isnan(self.column(earlier)), (dof,), f"it needs {earlier}, which is not determined")
             self.doubt(np.isnan(self.q[:, d]), (dof,), "points that should be apart coincide")
-            lower, upper = self._model.lower[d], self._model.upper[d]
+            slack = 0.0 if "Trans" in dof else self._slack_rad
+            lower, upper = self._model.lower[d] - slack, self._model.upper[d] + slack
             with np.errstate(invalid="ignore"):
                 outside = (value < lower - 1e-9) | (value > upper + 1e-9)
             self.doubt(outside, (dof,), f"{{:.3f}} is outside the limits {lower:.3f} to {upper:.3f}", value)
@@ -113,13 +114,14 @@ class KinectSkeleton:
 
     Args:
         model: a model with the 12 DoFs and the links of `LINK_OF_POINT`; P1's if left out.
+        slack_rad: angles may exceed the model's limits by this.
 
     Raises:
         HumanModelError: another set of DoFs, or links that are lacking.
     """
 
-    def __init__(self, model: HumanModel | None = None) -> None:
-        self.model = model or HumanModel.kinect12()
+    def __init__(self, model: HumanModel | None = None, slack_rad: float = 0.0) -> None:
+        self.model, self._slack_rad = model or HumanModel.kinect12(), slack_rad
         self.model.check_dofs(KINECT12_DOFS)
         lacking = sorted(set(LINK_OF_POINT.values()) - set(self.model.link_names))
         if lacking:
@@ -154,7 +156,7 @@ class KinectSkeleton:
         points = checked("points_m", points_m, ("T", len(LINK_OF_POINT), 3), finite=False)
         points = np.where(np.isfinite(points).all(axis=-1, keepdims=True), points, np.nan)
         seen = {name: points[:, i] for i, name in enumerate(LINK_OF_POINT)}
-        found = KinectPostures(len(points), self.model)
+        found = KinectPostures(len(points), self.model, self._slack_rad)
         # NaN stands for lost all the way down, and zero lengths are reported as such: no warnings wanted.
         with np.errstate(invalid="ignore", divide="ignore"):
             pelvis = self._pelvis(seen, found)

@@ -99,6 +99,15 @@ class TrackerFrames:
             self.warning = f"TF places {frame!r} {apart} from where the scene does; TF is believed"
         return turn_and_shift(float(np.arctan2(T[1, 0], T[0, 0])), T[:3, 3])
 
+    def pose(self, frame_id: str) -> FloatArray | None:
+        """Return the (4, 4) pose of a frame, however tilted, in the scene's tracker frame; None where TF does not say.
+
+        Raises:
+            ArrayError: a frame other than the expected one, of which nobody says where it is.
+        """
+        T_world_frame = self._pose(frame_id.lstrip("/"))
+        return None if T_world_frame is None else np.linalg.inv(self.T_world_expected) @ T_world_frame
+
     def _pose(self, frame: str) -> FloatArray | None:
         """Return the pose of a frame in the world, None for the expected one where the scene has to do."""
         if frame == WORLD:
@@ -112,5 +121,5 @@ class TrackerFrames:
         if frame == self.expected:
             return None
         if not frame:
-            trouble = "the tracker has to say in which frame its postures are"
+            trouble = "the tracker has to say in which frame its data are"
         raise ArrayError(f"wrong frame: wanted {self.expected!r}, got {frame!r:.80}; {trouble}")

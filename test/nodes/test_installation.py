@@ -443,6 +443,14 @@ def test_launch_of_predictor_and_planner_in_one_process(launched: Callable[..., 
     assert set(waited_for.split(",")) >= {"stomp_planner", "occupancy_predictor"}
 
 
+def test_launch_with_a_live_tracker(launched: Callable[..., dict[str, Any]]) -> None:
+    nodes = launched(live_tracker="true", skeleton="coco17", points_topic="/camera/people", scene="four_places")
+    assert set(nodes) == {"simulated_arm", "stomp_planner", "occupancy_predictor", "skeleton_tracker"}
+    told = given_to(nodes["skeleton_tracker"])
+    assert (told["skeleton"], told["topic"], told["scene"]) == ("coco17", "/camera/people", "four_places")
+    assert told["listener"] == "occupancy_predictor"
+
+
 def test_launch_in_operation(launched: Callable[..., dict[str, Any]]) -> None:
     nodes = launched(
         demo="false", guard="true", managed="true", record="bag", domain="7", namespace="robot1",
