@@ -7,6 +7,7 @@ safety function. It is one more line of defence against planners that fail.
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections import deque
 
@@ -40,7 +41,11 @@ from humanpred_ros.planning.protective_distance import (
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.settings import setting
 
-_LOOK_AROUND_S, _MARKER_PERIOD_S = 0.1, 0.1
+_LOOK_AROUND_S, _MARKER_PERIOD_S = 0.25, 0.1
+#: A reason that stays is repeated so often, for those who come later, s.
+_REPEAT_S = 0.5
+#: An arm obeys a factor so soon, s.
+_OBEYS_S = 0.05
 #: Times that are remembered: those of the last 17 s at 30 Hz.
 _KEPT = 512
 
@@ -50,8 +55,12 @@ class SeparationGuardSettings(ProtectiveDistanceSettings, PeopleSettings, NodeSe
 
     scene: str = setting("face_to_face", "scene name in config/scenes, or a YAML file")
     rate_hz: float = setting(
-        50.0, "the factor is published so often at least, and with every posture", unit="Hz", low=30.0, high=500.0
+        20.0, "the factor is published so often at least, and with every posture", unit="Hz", low=10.0, high=500.0
     )
+    real_time_priority: int = setting(
+        20, "the guard's threads come before all that are not of this kind, where the system allows it (SCHED_FIFO); "
+        "0 asks for nothing", low=0, high=99,
+    )  # fmt: skip
     max_arm_age_s: float = setting(
         0.3, "an arm whose joint states have not come for so long is a stop", unit="s", low=0.02, high=60.0
     )
@@ -75,6 +84,7 @@ class SeparationGuard(GraphNode):
 
     def configure(self) -> None:
         self.settings = settings = declare(self, SeparationGuardSettings)
+        self.real_time = _real_time(settings.real_time_priority)
         self.human = human_named(settings.human)
         self.scene = scene = load_scene(settings.scene, check=False)
         self.distance = ProtectiveDistance(
@@ -94,7 +104,7 @@ class SeparationGuard(GraphNode):
         self.stop, self.others = "nothing has been looked at yet", ""
         self.separation: Separation | None = None
         self.planner_s: float | None = None
-        self.looked_s = self.marked_s = -math.inf
+        self.said: tuple[str, float] = ("", -math.inf)
         #: From a posture's publication to that of the factor.
         self.took_ms: deque[float] = deque(maxlen=_KEPT)
 
@@ -115,11 +125,12 @@ class SeparationGuard(GraphNode):
             )
         self.listen(JointState, topics.JOINT_STATES, self.on_joint_state, qos.ARM, max_age_s=settings.max_arm_age_s)
         if settings.watch_planner:
-            self.listen(DiagnosticArray, topics.DECISION, self.on_decision, qos.SENSOR_SUBSCRIBER)
+            self.listen(DiagnosticArray, topics.DECISION, self.on_decision, qos.SENSOR_SUBSCRIBER, raw=True)
         self.people = WatchedPeople(self, self.human, self.scene, settings.part(PeopleSettings), self.on_people)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # a clock that stands still must not silence the guard
-        self.create_timer(1.0 / settings.rate_hz, self.look_again, clock=steady)
+        self.timer = self.create_timer(1.0 / settings.rate_hz, self.look, clock=steady)
         self.create_timer(_LOOK_AROUND_S, self.look_around, clock=steady)
+        self.create_timer(_MARKER_PERIOD_S, self.show, clock=steady)
         self.look_around()
 
     def deactivate(self) -> None:
@@ -140,6 +151,7 @@ class SeparationGuard(GraphNode):
 
     def facts(self) -> dict[str, str]:
         facts = {"factor": f"{self.pace.factor:.2f}", "stop": self.stop, "people": str(len(self.people.present))}
+        facts["real_time"] = self.real_time
         if self.took_ms:
             for name, share in (("median", 50.0), ("p99", 99.0), ("most", 100.0)):
                 facts[f"posture_to_factor_ms/{name}"] = f"{np.percentile(self.took_ms, share):.2f}"
@@ -177,8 +189,8 @@ class SeparationGuard(GraphNode):
             self.refuse(str(error))
         return True
 
-    def on_decision(self, _: DiagnosticArray) -> None:
-        """Note that the planner lives."""
+    def on_decision(self, _: bytes, __: object) -> None:
+        """Note that the planner lives, whatever it says."""
         self.planner_s = time.monotonic()
 
     def look_around(self) -> None:
@@ -204,14 +216,10 @@ class SeparationGuard(GraphNode):
         self.look()
         self.took_ms.append((time.time_ns() - sent_ns) * 1e-6)
 
-    def look_again(self) -> None:
-        """Compare people and arm although no posture came, unless one came just now."""
-        if time.monotonic() - self.looked_s > 0.5 / self.settings.rate_hz:
-            self.look()
-
     def look(self) -> None:
         """Compare people and arm, and publish what follows."""
-        now_s = self.looked_s = time.monotonic()
+        self.timer.reset()
+        now_s = time.monotonic()
         self.separation = None
         stop = self._trouble(now_s)
         wanted = 0.0 if stop else 1.0
@@ -220,7 +228,7 @@ class SeparationGuard(GraphNode):
             assert self.arm.q is not None
             age_s = max(self.people.age_s(now_s), self._arm_age_s(now_s))
             self.separation = found = self.distance.separation(
-                [body.seen for body in present], self.arm.q, self._velocity(), self.pace.factor, age_s
+                [body.seen for body in present], self.arm.q, *self._velocity(), age_s
             )
             wanted = found.factor
         factor = self.pace.follow(wanted, now_s)
@@ -255,10 +263,17 @@ class SeparationGuard(GraphNode):
     def _arm_age_s(self, now_s: float) -> float:
         return now_s - self.arm.came_s + self.arm.late_s
 
-    def _velocity(self) -> FloatArray:
-        """Return the arm's velocity (D,): what the driver says or what its positions show, whichever is faster."""
-        told, shown = self.arm.v, self.arm.following.velocity
-        return shown if abs(shown).max() > abs(told).max() else told
+    def _velocity(self) -> tuple[FloatArray, float]:
+        """Return the arm's velocity (D,), and the factor at which it had it.
+
+        It is what the driver says or what the positions of the last moment show, whichever is faster at factor 1. Both
+        are of the past: the present factor would make an arm that is just being slowed down one that hurries.
+        """
+        arm = self.arm
+        told_s, now_s = arm.came_s - arm.late_s, arm.came_s
+        told = arm.v, float(self.pace.between(told_s - _OBEYS_S, told_s).max())
+        shown = arm.following.velocity, float(self.pace.between(now_s - arm.following.seen_s, now_s).mean())
+        return max(shown, told, key=lambda one: abs(one[0]).max() / max(one[1], 0.01))
 
     def _pair(self, found: Separation) -> str:
         body, joint = self.people.present[found.body].name, self.scene.arm.link_names[found.arm_link]
@@ -270,22 +285,40 @@ class SeparationGuard(GraphNode):
     def _say(self, factor: float, stop: str) -> None:
         self.tell((factor == 0.0, kind_of(stop)), f"stop: {stop}" if factor == 0.0 else "the arm may move")
         self.stop = stop
-        # The reason first: whoever hears a stop knows it then.
-        self.stop_publisher.publish(String(data=stop))
+        now_s = time.monotonic()
+        if stop != self.said[0] or now_s - self.said[1] > _REPEAT_S:
+            # The reason first: whoever hears a stop knows it then.
+            self.stop_publisher.publish(String(data=stop))
+            self.said = stop, now_s
         self.factor_publisher.publish(Int16(data=round(100.0 * factor)))
         if self.scaling_publisher is not None:
             self.scaling_publisher.publish(self.scaling(factor=factor))
-        now_s, found = time.monotonic(), self.separation
-        if (
-            found is None
-            or now_s - self.marked_s < _MARKER_PERIOD_S
-            or not (self.marker_publisher.get_subscription_count())
-        ):
-            return
-        self.marked_s = now_s
-        text = "\n".join(f"{name} {value}" for name, value in self.facts().items() if name != "stop")
-        stamp = self.get_clock().now().to_msg()
-        self.marker_publisher.publish(separation_markers(found.body_point_m, found.arm_point_m, text, factor, stamp))
+
+    def show(self) -> None:
+        """Publish markers of the pair that decides, while somebody looks."""
+        found = self.separation
+        if found is not None and self.marker_publisher.get_subscription_count():
+            text = "\n".join(f"{name} {value}" for name, value in self.facts().items() if name != "stop")
+            stamp = self.get_clock().now().to_msg()
+            factor = self.pace.factor
+            self.marker_publisher.publish(
+                separation_markers(found.body_point_m, found.arm_point_m, text, factor, stamp)
+            )
+
+
+def _real_time(priority: int) -> str:
+    """Let all threads of this process come before those that are not of this kind; return what came of it.
+
+    It works little and briefly: whoever is pushed aside does not notice.
+    """
+    if not priority:
+        return "not asked for"
+    try:
+        for thread in os.listdir("/proc/self/task"):
+            os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(priority))
+    except (OSError, AttributeError) as trouble:
+        return f"not allowed: {trouble}"
+    return f"priority {priority}"
 
 
 main = entry_point(SeparationGuard)

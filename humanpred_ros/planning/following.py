@@ -91,6 +91,11 @@ class ArmFollowing:
         return bool(np.ptp(q, axis=0).max() <= self.settings.rest_rad)
 
     @property
+    def seen_s(self) -> float:
+        """How long the time is in which rest is looked for, by what was seen, s."""
+        return self._seen[-1][0] - self._seen[0][0] if self._seen else 0.0
+
+    @property
     def velocity(self) -> FloatArray:
         """(D,) mean velocity in the time in which rest is looked for, rad/s."""
         if len(self._seen) < 2 or self._seen[-1][0] <= self._seen[0][0]:

@@ -9,26 +9,38 @@ standard does not make a safety function.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from humanpred_ros.errors import HumanModelError
 from humanpred_ros.geometry.chain import inverse_pose
 from humanpred_ros.geometry.checks import FloatArray, checked
+from humanpred_ros.geometry.solids import Box, Capsule, EllipticCylinder, Sphere
 from humanpred_ros.human.model import HumanModel
+from humanpred_ros.planning.protective_kernels import (
+    BOX,
+    CAPSULE,
+    ELLIPTIC_CYLINDER,
+    SPHERE,
+    STEP_S,
+    Solids,
+    Spheres,
+    Terms,
+    decisive_pair,
+)
 from humanpred_ros.settings import Settings, setting
 
 if TYPE_CHECKING:  # whoever watches needs no planner
     from humanpred_ros.planning.problem import Arm
 
-#: Speeds are differences of distances over this time, s.
-_STEP_S = 1e-3
-#: Halvings of the factor's interval: exact to 1e-3.
-_HALVINGS = 10
+#: Changes of the factor that are remembered: enough for the last second; and moments at which they are looked at.
+_REMEMBERED, _MOMENTS = 64, 11
 #: Below this factor the measured speed says nothing of the speed at factor 1.
 _LEAST_TOLD = 0.1
 
@@ -140,8 +152,12 @@ class ProtectiveDistance:
     ) -> None:
         """Take the model of all bodies, the arm, and the pose (4, 4) of the frame of the postures."""
         self.settings = settings or ProtectiveDistanceSettings()
-        self._human, self._chain, self._spheres = human, arm.chain, arm.spheres()
+        self._human, self._chain, spheres = human, arm.chain, arm.spheres()
+        # Copies: compiled functions are compiled once more for what is read-only.
+        self._spheres = Spheres(spheres.link + 1, np.array(spheres.local_m), np.array(spheres.radius_m))
+        self._solids = _solids_of(human)
         self._T_world_human = checked("pose of the postures' frame", T_world_human, (4, 4))
+        self._T_human_world = inverse_pose(self._T_world_human)
 
     def separation(
         self, bodies: Sequence[SeenBody], q: ArrayLike, v: ArrayLike, factor: float, age_s: float = 0.0
@@ -151,108 +167,91 @@ class ProtectiveDistance:
         Args:
             bodies: all of them, one or more.
             q, v: (J,) measured configuration and velocity of the arm.
-            factor: of the arm's speed at present: the speed at factor 1 follows from it.
+            factor: of the arm's speed when it had that velocity: the speed at factor 1 follows from both.
             age_s: of the older of postures and joint states.
 
         Raises:
             ArrayError, HumanModelError: for a state or a posture of another shape, or not finite.
         """
+        settings = self.settings
         q = checked("configuration", q, (self._chain.n_joints,))
         v = checked("velocity", v, (self._chain.n_joints,))
-        centres = self._spheres.world_m(self._chain, np.stack([q, q + _STEP_S * v]))
-        found = [self._decisive(k, body, centres, v, factor, age_s) for k, body in enumerate(bodies)]
-        least_m = min(found, key=lambda one: one.least_m).least_m
-        decisive = min(found, key=lambda one: (one.factor, one.distance_m - one.protective_m))
-        return Separation(**(vars(decisive) | {"least_m": least_m}))
-
-    def _decisive(
-        self, number: int, body: SeenBody, centres: FloatArray, v: FloatArray, factor: float, age_s: float
-    ) -> Separation:
-        """Return what decides of one body; sphere centres (2, P, 3) now and a moment later."""
-        settings, dq = self.settings, body.velocity
-        later = body.q if dq is None else body.q + _STEP_S * dq
-        poses = self._T_world_human @ self._human.body_poses(np.stack([body.q, later]))  # (2, B, 4, 4)
-        # Distances (B, P) of the solids to the spheres: now; had the arm moved alone; had the person.
-        now, arm_moved = (self._distances(poses[0], centres[k]) for k in (0, 1))
-        person_moved = self._distances(poses[1], centres[0])
-        arm_speed = (now - arm_moved) / _STEP_S
-        person_speed = np.full_like(now, settings.person_speed_m_s) if dq is None else (now - person_moved) / _STEP_S
+        postures = np.empty((len(bodies), 2, len(self._human.dof_names)))
+        known = np.empty(len(bodies), dtype=np.bool_)
+        for k, body in enumerate(bodies):
+            posture, dq = checked("posture", body.q, postures.shape[2:], error=HumanModelError), body.velocity
+            known[k] = dq is not None
+            postures[k] = posture, posture if dq is None else posture + STEP_S * dq
         stopping_s = float(np.abs(v).max()) / settings.braking_rad_s2
         told = factor >= _LEAST_TOLD and stopping_s > 0.0
-        # At factor 1: of an arm that stands nobody knows where it will go, nor how long it will take to stop.
-        full_speed = np.maximum(arm_speed, 0.0) / factor if told else np.full_like(now, settings.arm_speed_m_s)
-        full_stopping_s = stopping_s / factor if told else settings.arm_speed_m_s / settings.braking_rad_s2
-        reaction_s = settings.reaction_s + age_s
-        fixed_m = settings.intrusion_m + settings.person_uncertainty_m + settings.arm_uncertainty_m
-
-        def protective_m(factors: FloatArray | float, pairs: NDArray[np.bool_] | slice = slice(None)) -> FloatArray:
-            travel = self._travel_m(person_speed[pairs], reaction_s + factors * full_stopping_s)
-            arm = factors * full_speed[pairs] * (reaction_s + 0.5 * factors * full_stopping_s)
-            total: FloatArray = travel + arm + fixed_m
-            return total
-
-        low = (protective_m(1.0) <= now).astype(np.float64)
-        between = (low == 0.0) & (protective_m(0.0) <= now)
-        if between.any():
-            least, most = np.zeros(between.sum()), np.ones(between.sum())
-            for _ in range(_HALVINGS):
-                middle = 0.5 * (least + most)
-                fine = protective_m(middle, between) <= now[between]
-                least, most = np.where(fine, middle, least), np.where(fine, most, middle)
-            low[between] = least
-        present_m = protective_m(factor if told else 0.0)
-        at = np.lexsort(((now - present_m).ravel(), low.ravel()))[0]
-        b, p = divmod(int(at), now.shape[1])
-        speed = float(max(arm_speed[b, p], 0.0))
+        terms = Terms(
+            reaction_s=settings.reaction_s + age_s,
+            factor=float(factor) if told else 0.0,
+            # Of an arm that stands nobody knows where it will go, nor how long it will take to stop.
+            full_stopping_s=stopping_s / factor if told else settings.arm_speed_m_s / settings.braking_rad_s2,
+            full_speed_m_s=math.nan if told else settings.arm_speed_m_s,
+            fixed_m=settings.intrusion_m + settings.person_uncertainty_m + settings.arm_uncertainty_m,
+            person_speed_m_s=settings.person_speed_m_s,
+            person_acceleration_m_s2=settings.person_acceleration_m_s2,
+        )
+        found = decisive_pair(
+            postures, known, self._human.joints, self._solids, self._T_human_world, np.stack([q, q + STEP_S * v]),
+            self._chain.joints, self._spheres, terms,
+        )  # fmt: skip
+        speed = max(found.arm_speed_m_s, 0.0)
         return Separation(
-            factor=float(low[b, p]),
-            distance_m=float(now[b, p]),
-            least_m=float(now.min()),
-            protective_m=float(present_m[b, p]),
-            person_m=float(self._travel_m(person_speed, reaction_s + stopping_s)[b, p]),
-            person_speed_m_s=float("nan") if dq is None else float(person_speed[b, p]),
-            arm_m=speed * reaction_s,
+            factor=found.factor,
+            distance_m=found.distance_m,
+            least_m=found.least_m,
+            protective_m=found.protective_m,
+            person_m=found.person_m,
+            person_speed_m_s=found.person_speed_m_s if known[found.body] else math.nan,
+            arm_m=speed * terms.reaction_s,
             arm_speed_m_s=speed,
             stopping_m=0.5 * speed * stopping_s,
             stopping_s=stopping_s,
-            reaction_s=reaction_s,
+            reaction_s=terms.reaction_s,
             intrusion_m=settings.intrusion_m,
             person_uncertainty_m=settings.person_uncertainty_m,
             arm_uncertainty_m=settings.arm_uncertainty_m,
-            body=number,
-            body_link=self._human.bodies[b].link,
-            arm_link=int(self._spheres.link[p]),
-            body_point_m=self._nearest_m(poses[0, b], b, centres[0, p]),
-            arm_point_m=centres[0, p],
+            body=found.body,
+            body_link=self._human.bodies[found.solid].link,
+            arm_link=int(self._spheres.joint[found.sphere]) - 1,
+            body_point_m=self._in_world(found.body_point_m),
+            arm_point_m=self._in_world(found.arm_point_m),
         )
 
-    def _travel_m(self, speed: FloatArray, for_s: FloatArray | float) -> FloatArray:
-        """Return S_h: how far people come in a time who now move towards the arm at `speed`.
+    def _in_world(self, point_m: ArrayLike) -> FloatArray:
+        point: FloatArray = self._T_world_human[:3, :3] @ np.asarray(point_m) + self._T_world_human[:3, 3]
+        return point
 
-        They become faster at once, up to `person_speed_m_s`. One who moves away is taken to stand: nobody knows when
-        they turn round.
-        """
-        now = np.maximum(speed, 0.0)
-        most = np.maximum(now, self.settings.person_speed_m_s)
-        faster_s = np.minimum((most - now) / self.settings.person_acceleration_m_s2, for_s)
-        reached = now + self.settings.person_acceleration_m_s2 * faster_s
-        travel: FloatArray = 0.5 * (now + reached) * faster_s + reached * (for_s - faster_s)
-        return travel
 
-    def _distances(self, poses: FloatArray, centres: FloatArray) -> FloatArray:
-        """Return the distances (B, P) of the solids at poses (B, 4, 4) from the spheres around centres (P, 3)."""
-        found = np.empty((len(poses), len(centres)))
-        for b, (T, body) in enumerate(zip(poses, self._human.bodies, strict=True)):
-            found[b] = body.shape.distance_m((centres - T[:3, 3]) @ T[:3, :3])
-        return found - self._spheres.radius_m
+def _solids_of(human: HumanModel) -> Solids:
+    """Return the solids of a human as the search wants them.
 
-    def _nearest_m(self, pose: FloatArray, b: int, point: FloatArray) -> FloatArray:
-        """Return the point (3,) of a solid nearest to a point, by the slope of its distance."""
-        inverse, shape, step = inverse_pose(pose), self._human.bodies[b].shape, 1e-5
-        around = np.vstack([point, point + step * np.eye(3)])
-        d = shape.distance_m(around @ inverse[:3, :3].T + inverse[:3, 3])
-        nearest: FloatArray = point - d[0] * (d[1:] - d[0]) / step
-        return nearest
+    Raises:
+        HumanModelError: for a solid of a kind that it does not know.
+    """
+    kind, size = [], []
+    for body in human.bodies:
+        shape = body.shape
+        if isinstance(shape, Sphere):
+            kind.append(SPHERE)
+            size.append((shape.radius_m, 0.0, 0.0))
+        elif isinstance(shape, Box):
+            kind.append(BOX)
+            size.append(shape.half_m)
+        elif isinstance(shape, Capsule):
+            kind.append(CAPSULE)
+            size.append((shape.radius_m, 0.5 * shape.length_m, 0.0))
+        elif isinstance(shape, EllipticCylinder):
+            kind.append(ELLIPTIC_CYLINDER)
+            size.append((shape.x_m, shape.y_m, 0.5 * shape.length_m))
+        else:
+            raise HumanModelError(f"protective distance: wanted {body.name} as one of the known solids, got {shape}")
+    links = [human.link_names.index(body.link) for body in human.bodies]
+    T_link_body = np.array([body.T_link_body for body in human.bodies])
+    return Solids(np.array(kind), np.array(size), human.link_joint[links], human.T_joint_link[links] @ T_link_body)
 
 
 class SpeedFactor:
@@ -266,6 +265,8 @@ class SpeedFactor:
         """Begin with a stop."""
         self._settings = settings or ProtectiveDistanceSettings()
         self._exact, self._t_s = 0.0, -np.inf
+        #: Since when which factor was in force.
+        self._were: deque[tuple[float, float]] = deque([(-np.inf, 0.0)], maxlen=_REMEMBERED)
 
     @property
     def factor(self) -> float:
@@ -281,4 +282,12 @@ class SpeedFactor:
         else:
             # The first step out of a stop is one that can be told.
             self._exact = min(wanted, max(self._exact + since_s * self._settings.rise_per_s, 0.01))
+        if self.factor != self._were[-1][1]:
+            self._were.append((t_s, self.factor))
         return self.factor
+
+    def between(self, from_s: float, to_s: float) -> FloatArray:
+        """Return the factors (N,) at equal intervals of a time that is over: first its beginning, last its end."""
+        t_s, factor = np.array(self._were).T
+        found: FloatArray = factor[np.maximum(np.searchsorted(t_s, np.linspace(from_s, to_s, _MOMENTS)) - 1, 0)]
+        return found

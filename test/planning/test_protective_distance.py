@@ -127,6 +127,78 @@ def test_a_body_that_moves_away_gains_nothing_over_one_that_rests() -> None:
         assert away.factor == pytest.approx(resting.factor)
 
 
+def oracle(
+    distance: ProtectiveDistance, body: SeenBody, q: np.ndarray, v: np.ndarray, factor: float, age_s: float
+) -> tuple[float, float, float]:
+    """Return factor, distance and least distance as the definitions give them, one solid at a time."""
+    settings, step_s, dq = distance.settings, 1e-3, body.velocity
+    assert dq is not None
+    spheres = SCENE.arm.spheres()
+    centres = spheres.world_m(SCENE.arm.chain, np.stack([q, q + step_s * v]))
+    poses = SCENE.T_world_human @ HUMAN.body_poses(np.stack([body.q, body.q + step_s * dq]))
+
+    def distances(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+        found = [
+            body.shape.distance_m((points - T[:3, 3]) @ T[:3, :3])
+            for T, body in zip(pose, HUMAN.bodies, strict=True)
+        ]  # fmt: skip
+        return np.array(found) - spheres.radius_m
+
+    now = distances(poses[0], centres[0])
+    arm_speed = np.maximum(now - distances(poses[0], centres[1]), 0.0) / step_s / factor
+    person_speed = (now - distances(poses[1], centres[0])) / step_s
+    reaction_s, full_stopping_s = settings.reaction_s + age_s, np.abs(v).max() / settings.braking_rad_s2 / factor
+    fixed_m = settings.intrusion_m + settings.person_uncertainty_m + settings.arm_uncertainty_m
+
+    def protective_m(f: float) -> np.ndarray:
+        for_s = reaction_s + f * full_stopping_s
+        speed = np.maximum(person_speed, 0.0)
+        most = np.maximum(speed, settings.person_speed_m_s)
+        faster_s = np.minimum((most - speed) / settings.person_acceleration_m_s2, for_s)
+        reached = speed + settings.person_acceleration_m_s2 * faster_s
+        travel = 0.5 * (speed + reached) * faster_s + reached * (for_s - faster_s)
+        return travel + f * arm_speed * (reaction_s + 0.5 * f * full_stopping_s) + fixed_m
+
+    allowed = [f for f in np.linspace(0.0, 1.0, 4001) if (protective_m(f) <= now).all()]
+    return max(allowed, default=0.0), float(now.min()), float((now - protective_m(factor)).min())
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_compiled_search_finds_what_the_definitions_say(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    distance = ProtectiveDistance(HUMAN, SCENE.arm, SCENE.T_world_human)
+    body, before = SeenBody(), posture(rng.uniform(0.2, 0.9))
+    before[3:] = np.clip(rng.uniform(-0.6, 0.6, len(before) - 3), HUMAN.lower[3:], HUMAN.upper[3:])
+    body.see(before, 0.0)
+    body.see(before + rng.uniform(-0.05, 0.05, len(before)), 0.1)
+    q, v = Q + rng.uniform(-0.3, 0.3, len(Q)), rng.uniform(-1.0, 1.0, len(Q))
+    found = distance.separation([body], q, v, 0.6, 0.02)
+    factor, least_m, margin_m = oracle(distance, body, q, v, 0.6, 0.02)
+    assert found.factor == pytest.approx(factor, abs=6e-4)
+    assert found.least_m == pytest.approx(least_m, abs=1e-9)
+    if factor in (0.0, 1.0):
+        assert found.distance_m - found.protective_m == pytest.approx(margin_m, abs=1e-6) or factor == 0.0
+    gap_m = np.linalg.norm(found.body_point_m - found.arm_point_m)
+    radii = SCENE.arm.spheres().radius_m
+    assert abs(gap_m - radii - found.distance_m).min() < 1e-3 or found.distance_m < 0.0
+
+
+def test_an_arm_that_is_being_slowed_down_is_not_taken_for_one_that_hurries() -> None:
+    settings = ProtectiveDistanceSettings()
+    distance = ProtectiveDistance(HUMAN, SCENE.arm, SCENE.T_world_human, settings)
+    d_m = next(d for d in np.arange(0.0, 1.2, 0.01) if 0.3 < separation(seen(d, 0.0), settings=settings).factor < 0.7)
+    body, speed = seen(d_m, 0.0), SpeedFactor(settings)
+    settled = distance.separation([body], Q, V, 1.0, 0.02).factor
+    factors = [speed.follow(1.0, t_s) for t_s in np.arange(0.0, 4.0, 0.02)]
+    assert factors[-1] == 1.0
+    for t_s in np.arange(4.0, 6.0, 0.02):  # the arm obeys 0.03 s later, and is measured where it is
+        obeyed = float(speed.between(t_s - 0.03, t_s)[0])
+        then = float(speed.between(t_s - 0.05, t_s).max())
+        factors.append(speed.follow(distance.separation([body], Q, obeyed * V, then, 0.02).factor, t_s))
+    assert min(factors[200:]) > settled - 0.05
+    assert factors[-1] == pytest.approx(settled, abs=0.02)
+
+
 def test_of_several_bodies_the_worst_decides() -> None:
     far, near = seen(0.0, 0.0), seen(0.8, 0.0)
     distance = ProtectiveDistance(HUMAN, SCENE.arm, SCENE.T_world_human)
