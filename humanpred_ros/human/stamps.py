@@ -72,7 +72,7 @@ class StampCheck:
         self._ahead_s.append(ahead_s)
         if ahead_s > self.settings.max_ahead_s and not self._lossless:
             whose = "the tracker's clock is" if self._constant(_FEW) else "a posture's stamp is"
-            return StampVerdict(f"stamp ahead: {whose} {ahead_s:.3g} s ahead", tell=True)
+            return StampVerdict(f"stamp ahead: {whose} {ahead_s:.3g} s ahead of this host's clock", tell=True)
         if self._used_s is None:
             self._used_s = arrived_s
         silent_s, gap_s = arrived_s - self._used_s, self.settings.restart_gap_s
@@ -95,7 +95,7 @@ class StampCheck:
         late_s = -sum(self._ahead_s) / len(self._ahead_s) if self._ahead_s else 0.0
         if late_s < _BEHIND_S or self._lossless or not self._constant(_MANY):
             return ""
-        return f"the tracker's clock is {late_s:.3g} s behind, or its postures take so long to come"
+        return f"the tracker's clock is {late_s:.3g} s behind this host's, or its postures take so long to come"
 
     def _constant(self, n: int) -> bool:
         """Return whether the last n stamps differ from the clock by the same."""

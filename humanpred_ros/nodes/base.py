@@ -66,6 +66,7 @@ class GraphNode(ManagedNode):
         self._refusals = Refusals()
         self.refused = self._refusals.counts
         self.warnings: dict[str, str] = {}
+        self._clock_warning = ""
         self.hardware_id = self.get_fully_qualified_name()
         self._change = Change()
         self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, qos.COMMAND)
@@ -100,7 +101,7 @@ class GraphNode(ManagedNode):
 
         def on_message(message: Any, info: Any) -> None:
             came_s = time.monotonic()
-            heard.sent_ns = info["source_timestamp"]
+            heard.came(came_s, info["source_timestamp"], info["received_timestamp"])
             if (callback(message, info) if raw else callback(message)) is not False:
                 # The middleware's time of receipt: a message may have waited for the node.
                 heard.handled(came_s, max(time.time_ns() - info["received_timestamp"], 0) * 1e-9)
@@ -192,6 +193,15 @@ class GraphNode(ManagedNode):
             self.get_logger().warning(warnings[about])
         self.warnings = dict(warnings)
 
+    def _warnings(self) -> dict[str, str]:
+        """Return the warnings that stand, with one about the clock that differs most from this host's."""
+        heard = max(self.inputs.values(), key=lambda heard: heard.clock_off_s, default=None)
+        text = heard.clock() if heard is not None else ""
+        if text and not self._clock_warning:
+            self.get_logger().warning(text)
+        self._clock_warning = text
+        return {**self.warnings, **({"clock": text} if text else {})}
+
     def tell(self, kind: object, text: str) -> None:
         """Log what the node does, once each time its kind changes."""
         if self._change.to(kind, self.get_clock().now().nanoseconds * 1e-9):
@@ -213,7 +223,7 @@ class GraphNode(ManagedNode):
             **(self.facts() if self.connected else {}),
             # Copies: other threads of a node refuse, too.
             **{f"refused/{kind}": str(count) for kind, count in dict(self.refused).items()},
-            **{f"warning/{about}": text for about, text in self.warnings.items()},
+            **{f"warning/{about}": text for about, text in self._warnings().items()},
         }
         status = DiagnosticStatus(
             name=name_of(self.get_namespace(), self.get_name()),
@@ -239,7 +249,7 @@ class GraphNode(ManagedNode):
             return DiagnosticStatus.WARN, one_line(f"holding: {holding}")
         if waiting or silent:
             return DiagnosticStatus.WARN, f"waiting for {waiting or ', '.join(silent)}"
-        fine = not (self.warnings or self._refusals.recent())
+        fine = not (self._warnings() or self._refusals.recent())
         return DiagnosticStatus.OK if fine else DiagnosticStatus.WARN, self.working()
 
     def disconnect(self) -> None:

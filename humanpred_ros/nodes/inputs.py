@@ -18,6 +18,10 @@ WINDOW_S = 3.0
 RECENT_S = 5.0
 #: At a higher rate the window is shorter.
 _MOST_KEPT = 2048
+#: Of the time in which the least delay is looked for, s; how many messages tell something.
+_DELAY_S, _DELAYS = 1.0, 3
+#: A clock that is farther ahead is named, s: no message comes before it was sent. One behind may be a slow link.
+_AHEAD_S, _BEHIND_S = 0.01, 0.25
 _NUMBER = re.compile(r"-?\d[\d.]*(e[-+]?\d+)?")
 
 
@@ -26,8 +30,32 @@ def kind_of(reason: str) -> str:
     return _NUMBER.sub("#", one_line(reason.split(":", 1)[0]))
 
 
+class Least:
+    """The least values of this and of the last window of time.
+
+    Attributes:
+        now, before: infinite where there were none.
+        n: number of values in `now`.
+    """
+
+    def __init__(self, window_s: float) -> None:
+        self._window_s, self._began_s = window_s, -math.inf
+        self.now = self.before = math.inf
+        self.n = 0
+
+    def add(self, value: float, at_s: float) -> None:
+        """Add a value at a time of the steady clock, s."""
+        if at_s - self._began_s > self._window_s:
+            self._began_s, self.before, self.now, self.n = at_s, self.now, math.inf, 0
+        self.now = min(self.now, value)
+        self.n += 1
+
+
 class Input:
     """One subscription of a node. Times are on the steady clock, by arrival: stamps and simulated time play no part.
+
+    Of the sender's clock it is known how long the quickest messages took by both clocks: what the way took and the
+    difference of the clocks.
 
     Attributes:
         topic: as subscribed to.
@@ -43,6 +71,33 @@ class Input:
         self.came_s: float | None = None
         self.sent_ns = 0
         self._newest: deque[tuple[float, float]] = deque(maxlen=_MOST_KEPT)
+        self._delay = Least(_DELAY_S)
+        self._delay_s = 0.0
+
+    def came(self, came_s: float, sent_ns: int, received_ns: int) -> None:
+        """Note when a message was sent, by the sender's clock, and received, by this host's; zero is not known."""
+        self.sent_ns = sent_ns
+        if sent_ns <= 0:
+            return
+        self._delay.add((received_ns - sent_ns) * 1e-9, came_s)
+        if self._delay.n >= _DELAYS:
+            # Both windows must show it: what waited, or came while a clock was set, says nothing of clocks.
+            both = self._delay.now, self._delay.before
+            self._delay_s = min(both) if min(both) >= 0.0 else min(max(both), 0.0)
+
+    def clock(self) -> str:
+        """Return by how much the sender's clock differs from this host's; empty where it does not, or is not known."""
+        if not math.isfinite(self._delay_s) or -_AHEAD_S <= self._delay_s <= _BEHIND_S:
+            return ""
+        whose = f"the clock of the host that publishes {self.topic} is {abs(self._delay_s):.2f} s"
+        if self._delay_s < 0.0:
+            return f"{whose} ahead of this host's"
+        return f"{whose} behind this host's, or its messages take so long to come"
+
+    @property
+    def clock_off_s(self) -> float:
+        """By how much, s; 0 where `clock` is empty."""
+        return abs(self._delay_s) if self.clock() else 0.0
 
     def handled(self, came_s: float, latency_s: float) -> None:
         """Note that a message that came at `came_s` has been answered so long after it was received."""
@@ -75,6 +130,8 @@ class Input:
             facts["rate_hz"] = f"{(len(newest) - 1) / span_s:.1f}"
             facts["latency_ms"] = f"{np.median(latencies_ms):.2f}"
             facts["latency_largest_ms"] = f"{latencies_ms.max():.2f}"
+        if math.isfinite(self._delay_s) and self._delay.n:
+            facts["delay_by_clocks_ms"] = f"{1e3 * self._delay_s:.2f}"
         return facts
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.nodes import conversions
+from humanpred_ros.nodes.inputs import Least
 from humanpred_ros.planning.following import ArmFollowing, FollowingSettings
 
 #: What comes later than this tells of the past, s.
@@ -25,15 +26,12 @@ class Delay:
     """
 
     def __init__(self) -> None:
-        self._began_s = -np.inf
-        self._least = self._least_before = np.inf
+        self._least = Least(_WINDOW_S)
 
     def of(self, age_s: float, now_s: float) -> float:
         """Return the delay of a message that is `age_s` old by its stamp and came at `now_s`, on a steady clock."""
-        if now_s - self._began_s > _WINDOW_S:
-            self._began_s, self._least_before, self._least = now_s, self._least, np.inf
-        self._least = min(self._least, age_s)
-        clocks_s = min(self._least, self._least_before)
+        self._least.add(age_s, now_s)
+        clocks_s = min(self._least.now, self._least.before)
         return age_s if 0.0 <= clocks_s <= LONGEST_DELAY_S else age_s - clocks_s
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import array
 import math
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -23,6 +24,7 @@ from humanpred_ros.geometry import compact_occupancy
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode
+from humanpred_ros.nodes.inputs import Input
 
 #: How often it is looked whether somebody publishes the compact form.
 _LOOK_PERIOD_S = 0.2
@@ -124,6 +126,22 @@ class OccupancyInput:
         """Return how many publishers of either form are matched."""
         clouds = self._cloud.get_publisher_count() if self._cloud is not None else 0
         return self._compact.get_publisher_count() + clouds
+
+    @property
+    def inputs(self) -> list[Input]:
+        """What is listened to."""
+        topics_heard = (self._node.resolve_topic_name(topic) for topic in FORMS)
+        return [self._node.inputs[topic] for topic in topics_heard if topic in self._node.inputs]
+
+    def clock(self) -> str:
+        """Return by how much the publisher's clock differs from this host's; empty where it does not."""
+        return next((text for heard in self.inputs if (text := heard.clock())), "")
+
+    def silence(self) -> str:
+        """Return why nothing comes, in either form; empty while something comes."""
+        silent = [heard for heard in self.inputs if heard.silent(time.monotonic())]
+        matched = [heard for heard in silent if heard.publishers()] or silent
+        return matched[0].silence() if silent and len(silent) == len(self.inputs) else ""
 
     def _listen(self, topic: str) -> Subscription:
         def on_bytes(data: bytes, info: Any) -> bool | None:

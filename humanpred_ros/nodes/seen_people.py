@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.nodes.planner_settings import StompPlannerSettings
@@ -13,26 +14,31 @@ class SeenPeople:
 
     Attributes:
         settings: may be replaced.
+        clock: tells by how much the clock of whoever publishes occupancies differs; empty where it does not.
+        silence: tells why no occupancy comes; empty while they come.
         true_s: when what is known of people was true, on the steady clock.
         refusal: why the newest occupancy was refused; empty if it was not.
     """
 
     def __init__(self, settings: StompPlannerSettings) -> None:
         self.settings, self.true_s, self.refusal = settings, time.monotonic(), ""
+        self.clock: Callable[[], str] = str
+        self.silence: Callable[[], str] = str
         self._somebody = False
 
     def ahead(self, age_s: float) -> str:
         """Return why an occupancy so old is one from a future that no clock allows; empty if it is not."""
         if self.settings.lossless or -age_s <= self.settings.max_ahead_s:
             return ""
-        reason = f"stamp ahead: the human data's clock is {-age_s:.3g} s ahead, at most"
-        return f"{reason} {self.settings.max_ahead_s:g} s are allowed"
+        reason = f"stamp ahead: the human data's stamps are {-age_s:.3g} s ahead of this host's clock, at most"
+        return f"{reason} {self.settings.max_ahead_s:g} s are allowed{_and(self.clock())}"
 
     def stale(self, age_s: float) -> str:
         """Return why an occupancy so old says nothing of now; empty if it does."""
         if self.settings.lossless or age_s <= self.settings.max_human_age_s:
             return ""
-        return f"stale human data: {age_s:.2f} s old, at most {self.settings.max_human_age_s:g} s allowed"
+        reason = f"stale human data: {age_s:.2f} s old, at most {self.settings.max_human_age_s:g} s allowed"
+        return f"{reason}{_and(self.clock())}"
 
     def vanished(self, occupancy: Occupancy, says_nobody: bool) -> str:
         """Return why an empty occupancy does not mean that nobody is there; empty if it does, or is not empty."""
@@ -55,5 +61,9 @@ class SeenPeople:
         age_s = now_s - self.true_s
         if age_s <= self.settings.max_human_age_s:
             return ""
-        why = f" ({self.refusal})" if self.refusal else ""
+        why = f" ({self.refusal})" if self.refusal else _and(self.silence())
         return f"stale human data: what is known of people is {age_s:.2f} s old{why}"
+
+
+def _and(text: str) -> str:
+    return f"; {text}" if text else ""

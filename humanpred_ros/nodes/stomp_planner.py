@@ -78,7 +78,8 @@ class StompPlannerNode(CommandingNode):
         self.stepped_s = time.monotonic()  # when a replanning step was finished, on a clock that nobody sets
         age_s = math.inf if settings.lossless else settings.max_human_age_s
         profile = qos.sensor_subscription(settings.lossless, newest_only=True)
-        OccupancyInput(self, self.on_occupancy, profile, max_age_s=age_s)
+        self.occupancies = OccupancyInput(self, self.on_occupancy, profile, max_age_s=age_s)
+        self.people.clock, self.people.silence = self.occupancies.clock, self.occupancies.silence
         self.operator = OperatorServices(self)
         self.answers = Input(topics.DECISION)
         self._closing, self._asked = threading.Event(), threading.Event()
@@ -99,8 +100,9 @@ class StompPlannerNode(CommandingNode):
         if self.connected:
             self.people.settings = settings
             if not settings.lossless:
-                self.inputs[topics.JOINT_STATES].max_age_s = settings.max_arm_age_s
-                self.inputs[topics.OCCUPANCY].max_age_s = settings.max_human_age_s
+                self.inputs[self.resolve_topic_name(topics.JOINT_STATES)].max_age_s = settings.max_arm_age_s
+                for heard in self.occupancies.inputs:
+                    heard.max_age_s = settings.max_human_age_s
 
     def waiting_for(self) -> str:
         if self.arm.q is None:
@@ -225,7 +227,7 @@ class StompPlannerNode(CommandingNode):
                 self._wait_with_hold(str(error), stamp_ns)
                 return False
             self.begun, self.origin_ns, self.last_ns = True, stamp_ns, stamp_ns
-            self.stepped_s = time.monotonic()
+            self.stepped_s = self.people.true_s = time.monotonic()
             self.others.begin()
             if not (self.settings.lossless or self.arm.following.at_rest):
                 self.lost_s = -math.inf
@@ -292,8 +294,10 @@ class StompPlannerNode(CommandingNode):
         self.replanner.keep_rollouts = self.pictures.rollouts.get_subscription_count() > 0
         if self.settings.lossless:
             return self.replanner.respond(occupancy)
-        share = max(_SHARE_PER_GOAL * len(self.replanner.goal_names), _LEAST_SHARE)
-        enough_s = occupancy.t_s + min(share, self.settings.stomp_share) * self.settings.period_s
+        usual_s = max(_SHARE_PER_GOAL * len(self.replanner.goal_names), _LEAST_SHARE) * self.settings.period_s
+        # What has been on its way for long is given time, too, as long as there is any.
+        usual_s = max(occupancy.t_s + usual_s, self.now_s() + 0.5 * usual_s)
+        enough_s = min(usual_s, occupancy.t_s + self.settings.stomp_share * self.settings.period_s)
         decision = self.replanner.respond(occupancy, self.now_s, lambda: self.now_s() >= enough_s)
         with self.replanner.lock:
             if decision.action == ARRIVED and not self.arm.following.at_rest:

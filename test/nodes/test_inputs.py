@@ -31,6 +31,38 @@ def test_silence_names_whether_somebody_publishes() -> None:
     assert "its publisher is there, but nothing has arrived" in heard.silence()
 
 
+def come(heard: Input, begin_s: float, end_s: float, clock_s: float, way_s: float = 0.02) -> None:
+    """Let 30 messages a second come over a way with jitter from a host whose clock is ahead by `clock_s`."""
+    for k in range(round(30 * (end_s - begin_s))):
+        sent_s = begin_s + k / 30
+        came_s = sent_s + way_s + 0.01 * (k % 3)
+        heard.came(came_s, round((1e6 + sent_s + clock_s) * 1e9), round((1e6 + came_s) * 1e9))
+
+
+def test_the_clock_of_another_host_is_measured_and_named() -> None:
+    heard = Input("/joints")
+    come(heard, 0.0, 3.0, 0.0)
+    assert heard.clock() == ""
+    come(heard, 3.0, 6.0, 0.8)
+    assert heard.clock() == "the clock of the host that publishes /joints is 0.78 s ahead of this host's"
+    heard.handled(6.0, 0.0)
+    assert heard.facts(6.1)["delay_by_clocks_ms"] == "-780.00"
+    come(heard, 6.0, 9.0, -0.8)
+    assert "0.82 s behind this host's, or its messages take so long" in heard.clock()
+    come(heard, 9.0, 12.0, 0.0)
+    assert heard.clock() == "", "it was set right"
+
+
+def test_a_message_that_waited_or_came_while_a_clock_was_set_says_nothing_of_clocks() -> None:
+    heard = Input("/joints")
+    heard.came(0.0, round(1e15), round(1e15) + 3600 * 10**9)  # latched an hour ago
+    assert heard.clock() == ""
+    come(heard, 0.0, 3.0, 0.0)
+    heard.came(3.0, round(1e15 + 8e9), round(1e15 + 3e9))
+    come(heard, 3.0, 6.0, 0.0)
+    assert heard.clock() == ""
+
+
 def test_refusals_are_logged_when_they_begin_again_and_counted_always(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
     monkeypatch.setattr(inputs.time, "monotonic", lambda: now[0])

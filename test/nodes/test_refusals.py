@@ -27,6 +27,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from node_client import NodeClient
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
@@ -36,7 +37,9 @@ from humanpred_ros.nodes import conversions, occupancy_topics, qos
 from humanpred_ros.nodes.frames import pose_matrix, tf_lookup
 from humanpred_ros.nodes.lifecycle import started
 from humanpred_ros.nodes.occupancy_predictor import OccupancyPredictorNode
+from humanpred_ros.nodes.planner_settings import StompPlannerSettings
 from humanpred_ros.nodes.run_recorder import RunRecorder
+from humanpred_ros.nodes.seen_people import SeenPeople
 from humanpred_ros.nodes.skeleton_tracker_replay import SkeletonTrackerReplay
 from humanpred_ros.nodes.stomp_planner import StompPlannerNode
 
@@ -242,8 +245,31 @@ def test_a_clock_ahead_is_named_with_its_size_and_moves_nothing(ros: Callable[..
         assert str(predictor.see(begin + 0.51, 3600.0)).startswith("stamp ahead: a posture's stamp is 3.6e+03 s")
         assert predictor.see(begin + 0.52) == ""
         said = predictor.stream(begin + 0.6, begin + 1.0, ahead_s=3.0)
-        assert set(said[3:]) == {"stamp ahead: the tracker's clock is 3 s ahead"}
+        assert set(said[3:]) == {"stamp ahead: the tracker's clock is 3 s ahead of this host's clock"}
         assert predictor.see(begin + 1.01) == ""
+
+
+def test_ages_that_change_while_a_planner_runs_count_for_what_it_hears(ros: Callable[..., Any]) -> None:
+    planner = ros(StompPlannerNode, {"scene": "face_to_face", "iterations": "2", "waypoints": "20"})
+    assert planner.on_parameters(
+        [Parameter("max_arm_age_s", value=0.7), Parameter("max_human_age_s", value=0.9)]
+    ).successful
+    ages_s = {topic: heard.max_age_s for topic, heard in planner.inputs.items()}
+    assert ages_s["/joint_states"] == 0.7
+    assert {age_s for topic, age_s in ages_s.items() if topic.startswith("/human_occupancy")} == {0.9}
+
+
+def test_a_planner_names_the_other_hosts_clock_and_a_transport_that_gives_nothing() -> None:
+    people = SeenPeople(StompPlannerSettings())
+    assert people.ahead(-0.8).endswith("at most 0.05 s are allowed")
+    people.clock = lambda: "the clock of the host that publishes /people is 0.80 s ahead of this host's"
+    people.silence = lambda: "/people: its publisher is there, but nothing has arrived for longer than 0.5 s"
+    assert people.ahead(-0.8) == (
+        "stamp ahead: the human data's stamps are 0.8 s ahead of this host's clock, at most 0.05 s are allowed; "
+        "the clock of the host that publishes /people is 0.80 s ahead of this host's"
+    )
+    assert people.stale(0.9).endswith("; the clock of the host that publishes /people is 0.80 s ahead of this host's")
+    assert people.overdue(people.true_s + 0.6).endswith("0.60 s old; " + people.silence())
 
 
 def test_a_clock_that_is_set_back_is_a_hold_and_then_a_new_beginning(ros: Callable[..., Any]) -> None:
