@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import signal
 import sys
@@ -17,7 +18,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidNamespaceException, InvalidTopicNameException, NameValidationException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -36,6 +37,9 @@ from humanpred_ros.nodes.lifecycle import ManagedNode
 READY = "ready"
 _STATUS_PERIOD_S = 0.2
 _SIGNAL_PERIOD_S = 0.1
+_MESSAGE_AND_TIMES = inspect.Signature(
+    [inspect.Parameter(name, inspect.Parameter.POSITIONAL_ONLY) for name in ("message", "info")]
+)
 
 
 class GraphNode(ManagedNode):
@@ -99,20 +103,23 @@ class GraphNode(ManagedNode):
         name = self.resolve_topic_name(topic)
         heard = self.inputs[name] = Input(name, max_age_s)
 
-        def on_message(message: Any, info: Any) -> None:
+        def on_message(*came: Any) -> None:
             came_s = time.monotonic()
+            # As two arguments, or from the executor of events as one pair.
+            message, info = came if len(came) > 1 else came[0]
             heard.came(came_s, info["source_timestamp"], info["received_timestamp"])
             if (callback(message, info) if raw else callback(message)) is not False:
                 # The middleware's time of receipt: a message may have waited for the node.
                 heard.handled(came_s, max(time.time_ns() - info["received_timestamp"], 0) * 1e-9)
 
+        # So that rclpy knows that the times of a message are wanted, too.
+        on_message.__signature__ = _MESSAGE_AND_TIMES  # type: ignore[attr-defined]
         if topic in HANDED_OVER and self.links is not None:
             link = self.links.setdefault(name, Link())
             link.listen(self, on_message, profile)
             heard.publishers = link.get_publisher_count
             return cast(Subscription, link)
-        # rclpy's annotation leaves out that a callback may take the times of a message, too.
-        subscription = self.create_subscription(kind, topic, on_message, profile, raw=raw)  # type: ignore[arg-type]
+        subscription = self.create_subscription(kind, topic, on_message, profile, raw=raw)
         heard.publishers = subscription.get_publisher_count
         return subscription
 
@@ -297,10 +304,8 @@ def run_nodes(make_nodes: Callable[[], list[GraphNode]], arguments: list[str] | 
     failure: Exception | None = None
     signals = _Signals()
 
-    def spin(node: GraphNode) -> None:
+    def spin(node: GraphNode, executor: Executor) -> None:
         try:
-            executor = SingleThreadedExecutor()
-            executor.add_node(node)
             while rclpy.ok() and not signals.came:
                 _spin_once(executor, node)
         except ExternalShutdownException:
@@ -318,10 +323,14 @@ def run_nodes(make_nodes: Callable[[], list[GraphNode]], arguments: list[str] | 
         for node in reversed(nodes):
             if not node.managed:
                 node.start()
-        threads = [threading.Thread(target=spin, args=(node,), daemon=True) for node in nodes[1:]]
+        executors = [_executor() for _ in nodes]  # all before one of them works: it may wake another
+        for node, executor in zip(nodes, executors, strict=True):
+            executor.add_node(node)
+        own, *others = zip(nodes, executors, strict=True)
+        threads = [threading.Thread(target=spin, args=pair, daemon=True) for pair in others]
         for thread in threads:
             thread.start()
-        spin(nodes[0])
+        spin(*own)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except HumanPredError as error:
@@ -350,7 +359,17 @@ def run_nodes(make_nodes: Callable[[], list[GraphNode]], arguments: list[str] | 
     return 0
 
 
-def _spin_once(executor: SingleThreadedExecutor, node: GraphNode) -> None:
+def _executor() -> Executor:
+    """Return rclpy's executor of events where there is one: its nodes need a third of the processor's time."""
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:
+        return SingleThreadedExecutor()
+    executor: Executor = EventsExecutor()
+    return executor
+
+
+def _spin_once(executor: Executor, node: GraphNode) -> None:
     """Wait for something to do; an error that nobody foresaw ends a node, or leaves it inactive under a manager."""
     try:
         executor.spin_once(timeout_sec=_SIGNAL_PERIOD_S)

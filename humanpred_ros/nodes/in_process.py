@@ -5,10 +5,8 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from rclpy.exceptions import InvalidHandle
 from rclpy.publisher import Publisher
 from rclpy.qos import HistoryPolicy, QoSProfile
 
@@ -47,7 +45,12 @@ class Link:
                 message, put_ns = waiting.popleft()
                 callback(message, {"source_timestamp": put_ns, "received_timestamp": put_ns})
 
-        self._wake = node.create_guard_condition(take).trigger
+        def wake() -> None:
+            executor = node.executor
+            if executor is not None:
+                executor.create_task(take)
+
+        self._wake = wake
         self.listener = node
 
     def listening(self) -> GraphNode | None:
@@ -58,8 +61,7 @@ class Link:
         """Hand a message over; it must not be changed any more."""
         if self.listening() is not None:
             self._waiting.append((message, time.time_ns()))
-            with suppress(InvalidHandle):  # the listener has just been deactivated
-                self._wake()
+            self._wake()
 
     def get_publisher_count(self) -> int:
         """Return 1 while there is a publisher that is active."""

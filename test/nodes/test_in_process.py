@@ -45,6 +45,8 @@ def pair(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, Any]]:
     rclpy.init(domain_id=free_domain_id())
     speaker, listener = Speaker("speaker"), Listener("listener")
     speaker.links = listener.links = {}
+    executor = SingleThreadedExecutor()
+    executor.add_node(listener)
     try:
         yield speaker, listener
     finally:
@@ -55,10 +57,8 @@ def pair(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, Any]]:
 
 
 def spin(node: GraphNode) -> None:
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    executor.spin_once(timeout_sec=10.0)
-    executor.remove_node(node)
+    assert node.executor is not None
+    node.executor.spin_once(timeout_sec=10.0)
 
 
 @pytest.mark.parametrize(("profile", "expected"), [(qos.NEWEST_ONLY, [5]), (qos.LOSSLESS, [1, 2, 3, 4, 5])])
