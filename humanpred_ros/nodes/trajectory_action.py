@@ -8,7 +8,6 @@ import numpy as np
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import GoalEvent, ServerGoalHandle
 from rclpy.node import Node
-from rclpy.task import Future
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from humanpred_ros import topics
@@ -56,12 +55,11 @@ class TrajectoryActionServer:
         self._action = action_type()
         self._node, self._controller = node, controller
         self._goal: ServerGoalHandle | None = None
-        self._result = Future()
         ActionServer(
             node,
             self._action,
             action_name(node),
-            self._execute,
+            _never_called,
             goal_callback=self._on_goal,
             handle_accepted_callback=self._on_accepted,
             cancel_callback=self._on_cancel,
@@ -91,8 +89,7 @@ class TrajectoryActionServer:
 
     def _on_accepted(self, goal: ServerGoalHandle) -> None:
         self.replaced("a newer goal came")
-        self._goal, self._result = goal, Future()
-        goal.execute()
+        self._goal = goal
         now_ns = self._node.get_clock().now().nanoseconds
         refusal = self._controller.command(goal.request.trajectory, now_ns, self._tolerances(goal.request))
         if refusal:  # its time has run out since it was accepted
@@ -104,21 +101,22 @@ class TrajectoryActionServer:
         self._controller.hold()
         return CancelResponse.ACCEPT
 
-    async def _execute(self, goal: ServerGoalHandle) -> Any:
-        return await self._result
-
     def _end(self, code: int, text: str) -> None:
+        def finish(goal: ServerGoalHandle) -> Any:
+            if code == self._action.Result.SUCCESSFUL:
+                goal.succeed()
+            elif code == self._action.Result.INVALID_GOAL:
+                if not goal.is_cancel_requested:  # rclpy has no public way to cancel a goal nobody asked to cancel
+                    goal._update_state(GoalEvent.CANCEL_GOAL)
+                goal.canceled()
+            else:
+                goal.abort()
+            return self._action.Result(error_code=code, error_string=text)
+
         goal, self._goal = self._goal, None
         assert goal is not None
-        if code == self._action.Result.SUCCESSFUL:
-            goal.succeed()
-        elif code == self._action.Result.INVALID_GOAL:
-            if not goal.is_cancel_requested:  # rclpy has no public way to cancel a goal that nobody asked to cancel
-                goal._update_state(GoalEvent.CANCEL_GOAL)
-            goal.canceled()
-        else:
-            goal.abort()
-        self._result.set_result(self._action.Result(error_code=code, error_string=text))
+        # Only now: rclpy's executor of events calls what waits within a goal again and again, without a pause.
+        goal.execute(finish)
 
     def _feedback(self, now_ns: int) -> Any:
         arm = self._controller
@@ -145,6 +143,10 @@ class TrajectoryActionServer:
             if tolerance.name in self._controller.joint_names and tolerance.position:
                 own[self._controller.joint_names.index(tolerance.name)] = max(tolerance.position, 0.0)
         return own
+
+
+def _never_called(goal: ServerGoalHandle) -> Any:
+    raise NotImplementedError
 
 
 def _point(q: FloatArray, v: FloatArray) -> JointTrajectoryPoint:
