@@ -104,6 +104,8 @@ class GraphNode(ManagedNode):
         heard = self.inputs[name] = Input(name, max_age_s)
 
         def on_message(*came: Any) -> None:
+            if not self.connected:  # what came before it was deactivated may still wait
+                return
             came_s = time.monotonic()
             # As two arguments, or from the executor of events as one pair.
             message, info = came if len(came) > 1 else came[0]

@@ -186,6 +186,16 @@ class ManagedNode(LifecycleNode):
         if self.managed:
             self.get_logger().error("".join(traceback.format_exception(error)))
 
+    def create_timer(self, timer_period_sec: float, callback: Any, *others: Any, **named: Any) -> Any:
+        if not self.connected:
+            return super().create_timer(timer_period_sec, callback, *others, **named)
+
+        def while_connected() -> None:  # a tick may still wait when the node is deactivated
+            if self.connected:
+                callback()
+
+        return super().create_timer(timer_period_sec, while_connected, *others, **named)
+
     def _entities(self) -> chain[Any]:
         return chain(
             self.publishers, self.subscriptions, self.timers, self.clients, self.services, self.guards, self.waitables
