@@ -84,7 +84,6 @@ class SeparationGuard(GraphNode):
 
     def configure(self) -> None:
         self.settings = settings = declare(self, SeparationGuardSettings)
-        self.real_time = _real_time(settings.real_time_priority)
         self.human = human_named(settings.human)
         self.scene = scene = load_scene(settings.scene, check=False)
         self.distance = ProtectiveDistance(
@@ -95,6 +94,7 @@ class SeparationGuard(GraphNode):
         for k in range(2):
             person.see(lower, 0.1 * k)
         self.distance.separation([person], scene.start, 0.1 + 0.0 * scene.start, 1.0)
+        self.real_time = _real_time(settings.real_time_priority)  # compiling would keep others waiting
 
     def activate(self) -> None:
         settings, arm = self.settings, self.scene.arm
