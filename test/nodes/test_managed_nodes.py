@@ -139,8 +139,10 @@ def test_a_manager_brings_the_graph_up_down_and_up(tmp_path: Path) -> None:
         for transition in (CONFIGURE, ACTIVATE, DEACTIVATE):
             assert change_state(manager, "separation_guard", transition)
             if transition == ACTIVATE:
-                heard = "input/speed_ovr/age_s"
-                manager.wait(lambda: manager.told["simulated_arm"][2].get(heard) != "none came", "the guard's word")
+                manager.wait(
+                    lambda: manager.told["simulated_arm"][2].get("input/speed_ovr/age_s") != "none came",
+                    "the guard's word",
+                )
         manager.wait(lambda: "guard" in manager.told["simulated_arm"][1], "the guard to be missed")
         manager.wait(lambda: manager.speed < 1e-6, "the arm to rest")
         manager.all(DEACTIVATE, "inactive")
