@@ -373,8 +373,15 @@ def _point_refusal(point: Any, n: int) -> str:
     return f"wanted finite numbers of at most {_LARGEST:g}, got others"
 
 
-def decision_message(decision: Decision, t_ns: int, compute_ms: float) -> DiagnosticArray:
-    """Return a decision as one status for itself and one per goal; numbers read back exactly."""
+#: Key of a decision of a planner that does not command the arm yet, whatever the decision says.
+WAITS = "waits"
+
+
+def decision_message(decision: Decision, t_ns: int, compute_ms: float, waits: bool = False) -> DiagnosticArray:
+    """Return a decision as one status for itself and one per goal; numbers read back exactly.
+
+    `waits` says that the planner does not command the arm yet.
+    """
     head = DiagnosticStatus(
         name="decision",
         level=DiagnosticStatus.WARN if decision.action in ("hold", "missed") else DiagnosticStatus.OK,
@@ -388,6 +395,7 @@ def decision_message(decision: Decision, t_ns: int, compute_ms: float) -> Diagno
             t_switch_s=repr(float(decision.t_switch_s)),
             margin=repr(float(decision.margin)),
             compute_ms=f"{compute_ms:.3f}",
+            **({WAITS: "true"} if waits else {}),
         ),
     )
     message = DiagnosticArray(status=[head])

@@ -14,6 +14,7 @@ from collections import deque
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Int16, String
 from visualization_msgs.msg import MarkerArray
@@ -22,7 +23,7 @@ from humanpred_ros import topics
 from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import human_named
-from humanpred_ros.nodes import qos
+from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.inputs import kind_of
 from humanpred_ros.nodes.lifecycle import NodeSettings
@@ -41,7 +42,7 @@ from humanpred_ros.planning.protective_distance import (
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.settings import setting
 
-_LOOK_AROUND_S, _MARKER_PERIOD_S = 0.25, 0.1
+_LOOK_AROUND_S = 0.25
 #: A reason that stays is repeated so often, for those who come later, s.
 _REPEAT_S = 0.5
 #: An arm obeys a factor so soon, s.
@@ -130,7 +131,6 @@ class SeparationGuard(GraphNode):
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # a clock that stands still must not silence the guard
         self.timer = self.create_timer(1.0 / settings.rate_hz, self.look, clock=steady)
         self.create_timer(_LOOK_AROUND_S, self.look_around, clock=steady)
-        self.create_timer(_MARKER_PERIOD_S, self.show, clock=steady)
         self.look_around()
 
     def deactivate(self) -> None:
@@ -189,9 +189,18 @@ class SeparationGuard(GraphNode):
             self.refuse(str(error))
         return True
 
-    def on_decision(self, _: bytes, __: object) -> None:
-        """Note that the planner lives, whatever it says."""
-        self.planner_s = time.monotonic()
+    def on_decision(self, data: bytes, _: object) -> None:
+        """Note that the planner lives, whatever it says, unless it says that it does not command the arm yet.
+
+        Otherwise an arm that was stopped as its planner died would go on with what that one had sent, as soon as
+        another one is started.
+        """
+        now_s = time.monotonic()
+        if self.planner_s is None or now_s - self.planner_s > self.settings.max_planner_silence_s:
+            decision = deserialize_message(data, DiagnosticArray)
+            if any(item.key == conversions.WAITS for status in decision.status[:1] for item in status.values):
+                return
+        self.planner_s = now_s
 
     def look_around(self) -> None:
         """Find bodies that have appeared, and others who publish a factor."""
@@ -210,6 +219,7 @@ class SeparationGuard(GraphNode):
         about = {"tracker frame": self.people.frames.warning}
         about |= {f"clock of {body.name}": body.stamps.behind() for body in self.people.present}
         self.warn({what: text for what, text in about.items() if text})
+        self.show()
 
     def on_people(self, sent_ns: int) -> None:
         """Compare people and arm because a posture came that was sent then."""

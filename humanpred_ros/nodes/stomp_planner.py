@@ -212,9 +212,6 @@ class StompPlannerNode(CommandingNode):
         if self._looks_around():
             self._wait_with_hold(f"looking around: whether {_TWO} command this arm", stamp_ns)
             return False
-        if self.replanner.stopped:
-            self._wait_with_hold(self.replanner.stopped, stamp_ns)
-            return False
         if not (self.settings.lossless or self.arm.following.known):
             self._wait_with_hold("arm not known: waiting to see whether it rests", stamp_ns)
             return False
@@ -229,9 +226,11 @@ class StompPlannerNode(CommandingNode):
             self.begun, self.origin_ns, self.last_ns = True, stamp_ns, stamp_ns
             self.stepped_s = self.people.true_s = time.monotonic()
             self.others.begin()
-            if not (self.settings.lossless or self.arm.following.at_rest):
+            stopped = self.replanner.stopped
+            if not (self.settings.lossless or (self.arm.following.at_rest and not stopped)):
                 self.lost_s = -math.inf
-                reason = "the arm moves, and not at this planner's command: it is stopped"
+                # Where a guard stops the arm, it would go on with what it was sent before as soon as it may move.
+                reason = stopped or "the arm moves, and not at this planner's command: it is stopped"
                 self.publish(self.replanner.correct(self.arm.q, self.arm.v, 0.0, reason), stamp_ns, received_s)
         return True
 
@@ -242,7 +241,7 @@ class StompPlannerNode(CommandingNode):
         """Refuse to begin, with a decision that says why: whoever listens must not take silence for work."""
         self.refuse(reason)
         waiting = Decision(0.0, 0, HOLD, reason, None, None)
-        self.decision_publisher.publish(conversions.decision_message(waiting, stamp_ns, 0.0))
+        self.decision_publisher.publish(conversions.decision_message(waiting, stamp_ns, 0.0, waits=True))
 
     def _refuse_occupancy(self, reason: str) -> None:
         self.people.refusal = reason

@@ -28,6 +28,7 @@ from visualization_msgs.msg import MarkerArray
 
 from humanpred_ros import topics
 from humanpred_ros.nodes import conversions, qos
+from humanpred_ros.planning.decision import HOLD, Decision
 
 HUMAN = HumanModel.kinect12()
 SCENE = load_scene("four_places", check=False)
@@ -36,6 +37,9 @@ POSTURE = load_library(REPOSITORY / "bags" / "synthetic_reaches").motions[0].q[0
 S = conversions.NS_PER_S
 #: Behind the person's place, far from the arm; and the way from there to the arm.
 FAR_M, NEAR_M, STEP_M = -1.5, 0.9, 0.08
+
+
+WAITING = conversions.decision_message(Decision(0.0, 0, HOLD, "looking around", None, None), 0, 0.0, waits=True)
 
 
 class Surroundings(NodeClient):
@@ -53,6 +57,7 @@ class Surroundings(NodeClient):
         self.people: dict[str, float] = {}
         self.spoilt: dict[str, Callable[[JointState], JointState | None]] = {}
         self.planner = self.nobody = False
+        self.decision = DiagnosticArray()
         self.rng = np.random.default_rng(0)
         self._bodies: dict[str, Publisher] = {}
         self._at_m: dict[str, float] = {}
@@ -85,7 +90,7 @@ class Surroundings(NodeClient):
             message = conversions.joint_state(HUMAN.dof_names, q, self.now_ns(), "kinect")
             self._publish(self._bodies[body], body, message)
         if self.planner:
-            self._decisions.publish(DiagnosticArray())
+            self._decisions.publish(self.decision)
         if self.nobody:
             self._nobody.publish(Header(stamp=conversions.time_message(self.now_ns())))
 
@@ -180,7 +185,12 @@ def test_a_planner_that_falls_silent_and_a_second_factor_are_stops_and_the_terms
     around.moves()
     around.planner = False
     around.stops("silent planner")
-    around.planner = True
+    # Another one is there, but does not command the arm yet: it would go on with what the dead one has sent.
+    around.planner, around.decision = True, WAITING
+    n_before = len(around.factors)
+    around.wait(lambda: len(around.factors) > n_before + 30, "the guard to hear it")
+    assert not any(around.factors[n_before:])
+    around.decision = DiagnosticArray()
     around.moves()
     second = around.node.create_publisher(Int16, topics.SPEED_FACTOR, qos.COMMAND)
     around.stops("two speed factors: /separation_guard_client")
