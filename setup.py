@@ -80,7 +80,7 @@ setup(
         "yourdfpy>=0.0.56",
         "matplotlib>=3.8",
         "Jinja2>=3.1",
-        "rich>=13.0",
+        "rich>=13.7",
     ],
     extras_require={
         # On a machine with a ROS 2 Jazzy installation these come from there: leave the extra out.
@@ -89,7 +89,10 @@ setup(
         "markers": ["ezc3d>=1.5"],
         # Evaluations on more than one machine: `--scheduler ADDRESS`.
         "cluster": ["distributed>=2024.1"],
+        # The workcell in 3D in a browser.
+        "view": ["viser>=1.0"],
         "test": [
+            "viser>=1.0",
             "ezc3d>=1.5",
             "distributed>=2024.1",
             "pytest>=8.0",

@@ -33,6 +33,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "import": ("motion.commands:import_libraries", "turn motion libraries, or recordings of markers, into MCAP bags"),
     "generate": ("motion.commands:generate", "make a synthetic motion library by simulation"),
     "report": ("commands:report", "write the HTML report of a recorded run"),
+    "view": ("viewing.playback:view", "play a recorded run in 3D in a browser"),
+    "view live": ("nodes.live_view:run", "the running graph in 3D in a browser"),
     "replay": ("commands:replay", "feed a run's recorded occupancy to a fresh planner and compare its decisions"),
     "evaluate recognition": (
         "evaluation.recognition:measure",
@@ -97,7 +99,7 @@ def parse(words: Sequence[str]) -> tuple[Command, Any]:
         SettingsError: a flag is unknown, has a value that cannot be used, or is missing.
         SystemExit: with status 0, after help was printed.
     """
-    for length in (1, 2):
+    for length in (2, 1):
         name = " ".join(words[:length])
         if name in COMMANDS:
             return _parse_flags(name, COMMANDS[name][0], list(words[length:]))

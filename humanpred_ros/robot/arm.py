@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from humanpred_ros.errors import GoalUnreachableError, HumanPredError, SceneError
 from humanpred_ros.geometry.chain import BodyPoints, BodySpheres, KinematicChain, inverse_pose, reach_m
 from humanpred_ros.geometry.checks import FloatArray, checked
-from humanpred_ros.geometry.description import PlacedDescription
+from humanpred_ros.geometry.description import LinkSurface, PlacedDescription
 from humanpred_ros.geometry.solids import Box, Obstacle
 from humanpred_ros.robot.robot import BODY_POINT_SPACING_M, Robot, load_robot
 
@@ -82,6 +82,14 @@ class Arm:
         """Return spheres that cover the surfaces of all moving links but the shoulder's, in joint order."""
         return self.robot.spheres
 
+    def moving_surfaces(self) -> list[list[LinkSurface]]:
+        """Return for each joint the surfaces that move with it, in the frame after it (`chain.link_poses`)."""
+        return self._placed.moving_surfaces(self.chain.joint_names)
+
+    def standing_surfaces(self) -> list[tuple[LinkSurface, FloatArray]]:
+        """Return the surfaces of the robot that stand still, and the world pose (4, 4) of each one's frame."""
+        return self._placed.fixed_surfaces(self.chain.joint_names)
+
     @cached_property
     def fixed_obstacles(self) -> tuple[Obstacle, ...]:
         """The robot's own bodies that stand still, as solids named after their links.
@@ -97,7 +105,7 @@ class Arm:
         links = set(self.robot.sphere_links)
         touchable = {link for pair in self.robot.left_out if links.intersection(pair) for link in pair} - links
         bodies = []
-        surfaces = self._placed.fixed_surfaces(self.chain.joint_names)
+        surfaces = self.standing_surfaces()
         for (surface, T_world_frame), boxes in zip(surfaces, self.robot.fixed_boxes, strict=True):
             if surface.shape is not None and not isinstance(surface.shape, Box):
                 obstacles = [Obstacle(surface.link, surface.shape, T_world_frame)]

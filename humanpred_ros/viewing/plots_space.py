@@ -21,10 +21,10 @@ from humanpred_ros.viewing.recorded import OccupancySnapshot
 from humanpred_ros.viewing.run import Run
 from humanpred_ros.viewing.workcell import Workcell
 
-_HUMAN = "#b7791f"
-_ROBOT = "#52606d"
-_WOOD = "#f3ece0"
-_PROBABILITY = LinearSegmentedColormap.from_list("probability", ["#fdf3e1", "#f0a04b", "#9c2a10"])
+HUMAN = "#b7791f"
+ROBOT = "#52606d"
+WOOD = "#f3ece0"
+PROBABILITY = LinearSegmentedColormap.from_list("probability", ["#fdf3e1", "#f0a04b", "#9c2a10"])
 _MARGIN_M = 0.12
 #: Pictures of what was predicted: first, decisive, last.
 _N_SNAPSHOTS = 3
@@ -52,7 +52,7 @@ def top_view_plot(analysis: Analysis) -> Figure:
             place[0], place[1], marker="s", color="white", markeredgecolor=MUTED, markersize=11, alpha=0.85, zorder=3.4
         )
         paths.text(place[0], place[1], str(label), ha="center", va="center", fontsize=7.5, color=INK, zorder=3.5)
-    for name, path, colour in (("human palm", palm, _HUMAN), ("robot tool", tool, _ROBOT)):
+    for name, path, colour in (("human palm", palm, HUMAN), ("robot tool", tool, ROBOT)):
         if len(path):
             paths.plot(path[:, 0], path[:, 1], color=colour, linewidth=2.2, label=name)
             paths.plot(*path[0, :2], marker="o", color=colour, markersize=6)
@@ -98,7 +98,7 @@ def snapshots_plot(analysis: Analysis) -> Figure:
         tool = _tool_at(run, workcell, snapshot.t_s)
         parts.append(tool[:, :2])
         if len(tool):
-            axes.plot(*tool[0, :2], marker="D", color=_ROBOT, markersize=7, markeredgecolor="white", linestyle="none")
+            axes.plot(*tool[0, :2], marker="D", color=ROBOT, markersize=7, markeredgecolor="white", linestyle="none")
         if len(palm):
             so_far = palm[: int(np.searchsorted(run.postures.t_s, snapshot.t_s, side="right"))]
             axes.plot(so_far[:, 0], so_far[:, 1], color=INK, linewidth=1.6)
@@ -144,17 +144,17 @@ def _draw_scene(axes: Axes, analysis: Analysis, *, faint: bool = False) -> None:
             hue = _hue_of(obstacle.name, hues)
             axes.add_patch(Polygon(outline, facecolor=hue, alpha=0.35 if faint else 0.8, linewidth=0, zorder=3))
         else:
-            axes.add_patch(Polygon(outline, facecolor=_WOOD, edgecolor="#d9cbb2", linewidth=0.8, zorder=0.5))
+            axes.add_patch(Polygon(outline, facecolor=WOOD, edgecolor="#d9cbb2", linewidth=0.8, zorder=0.5))
     if not faint:
         x, y = workcell.scene.T_world_base[:2, 3]
-        axes.plot(x, y, marker="P", color=_ROBOT, markersize=9, linestyle="none", zorder=2)
+        axes.plot(x, y, marker="P", color=ROBOT, markersize=9, linestyle="none", zorder=2)
         axes.annotate(
             workcell.scene.arm.robot.name,
             (x, y),
             xytext=(0, 8),
             textcoords="offset points",
             ha="center",
-            color=_ROBOT,
+            color=ROBOT,
             fontsize=8,
         )
 
@@ -212,7 +212,7 @@ def _draw_footprint(axes: Axes, run: Run, snapshot: OccupancySnapshot) -> AxesIm
     size = np.array(image.shape) * edge
     x, y = low - edge / 2
     return axes.imshow(
-        np.ma.masked_equal(image.T, 0.0), origin="lower", extent=(x, x + size[0], y, y + size[1]), cmap=_PROBABILITY,
+        np.ma.masked_equal(image.T, 0.0), origin="lower", extent=(x, x + size[0], y, y + size[1]), cmap=PROBABILITY,
         vmin=0.0, vmax=1.0, interpolation="nearest", alpha=0.9, zorder=1.5,
     )  # fmt: skip
 

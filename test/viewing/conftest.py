@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from pr2 import RIGHT_ARM_JOINTS
 
 from humanpred_ros.bags import messages
 from humanpred_ros.bags.writer import BagWriter
+from humanpred_ros.evaluation.processes import free_domain_id
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.robot.scene import Scene, load_scene
@@ -307,3 +308,24 @@ def _goals(stamp: int, posterior: FloatArray) -> Any:
     return messages.point_cloud2(
         stamp, "world", {"x": x, "y": y, "z": z, "class_id": labels, "probability": probability}
     )
+
+
+@pytest.fixture
+def make_node(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], Any]]:
+    """Return what makes nodes on a domain of their own."""
+    rclpy = pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=free_domain_id())
+    nodes = []
+
+    def make(name: str) -> Any:
+        nodes.append(rclpy.create_node(name, context=context))
+        return nodes[-1]
+
+    try:
+        yield make
+    finally:
+        for node in nodes:
+            node.destroy_node()
+        rclpy.try_shutdown(context=context)
