@@ -61,7 +61,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
-        *(entry for folder in ("config", "launch", "urdf", "bags") for entry in data_files(folder)),
+        *(entry for folder in ("config", "launch", "urdf", "bags", "rviz", "foxglove") for entry in data_files(folder)),
     ],
     install_requires=[
         "numpy>=1.26.4",

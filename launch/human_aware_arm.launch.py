@@ -21,6 +21,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from humanpred_ros import topics
+from humanpred_ros.resources import share_directory
 
 #: What is started, and whether it is unless somebody says otherwise.
 PARTS = {
@@ -54,6 +55,7 @@ OTHERS = {
     "domain": ("", "ROS_DOMAIN_ID of the nodes; empty: that of the terminal"),
     "managed": ("false", "nodes wait for a lifecycle manager to configure and activate them"),
     "one_process": ("false", "predictor and planner run in one process, for small computers"),
+    "rviz": ("false", "look at it in RViz, with rviz/humanpred.rviz"),
     "demo": ("true", "the end of the replay ends everything"),
 }
 # The first start on a machine compiles the planner and trains a model before anybody is ready.
@@ -156,6 +158,9 @@ class Graph:
                 ready_timeout_s=READY_TIMEOUT_S,
                 **own,
             )
+        if self.on("rviz"):
+            file = str(share_directory() / "rviz" / "humanpred.rviz")
+            nodes["rviz2"] = Node(package="rviz2", executable="rviz2", arguments=["-d", file], parameters=[clock])
         return nodes
 
 

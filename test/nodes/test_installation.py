@@ -451,6 +451,12 @@ def test_launch_with_a_live_tracker(launched: Callable[..., dict[str, Any]]) -> 
     assert told["listener"] == "occupancy_predictor"
 
 
+def test_launch_with_rviz(launched: Callable[..., dict[str, Any]]) -> None:
+    rviz = launched(rviz="true")["rviz2"]
+    flag, file = rviz.named["arguments"]
+    assert (flag, Path(file).is_file()) == ("-d", True)
+
+
 def test_launch_in_operation(launched: Callable[..., dict[str, Any]]) -> None:
     nodes = launched(
         demo="false", guard="true", managed="true", record="bag", domain="7", namespace="robot1",
