@@ -60,7 +60,8 @@ class ProtectiveDistanceSettings(Settings):
         unit="m/s", low=0.1, high=10.0,
     )  # fmt: skip
     person_acceleration_m_s2: float = setting(
-        8.0, "people become faster by so much; a large one gives no credit for a body that rests or moves away",
+        8.0, "a person whose speed is measured becomes faster by so much, up to v_h, and one who moves away counts as "
+        "standing: credit for 0.2 s at most; at 1000 there is none, and v_h counts at once",
         unit="m/s^2", low=0.1, high=1000.0,
     )  # fmt: skip
     intrusion_m: float = setting(0.0, "C: a body reaches in so far before it is seen", unit="m", low=0.0, high=2.0)
@@ -74,7 +75,7 @@ class ProtectiveDistanceSettings(Settings):
         1.0, "an arm that stands is taken to set out towards the person so fast, at factor 1", unit="m/s",
         low=0.01, high=10.0,
     )  # fmt: skip
-    rise_per_s: float = setting(0.5, "the factor rises no faster", unit="1/s", low=0.01, high=100.0)
+    rise_per_s: float = setting(1.0, "the factor rises no faster", unit="1/s", low=0.01, high=100.0)
     resume_factor: float = setting(
         0.1, "after a stop the arm sets out once it may have this factor", low=0.01, high=1.0
     )

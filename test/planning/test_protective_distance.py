@@ -112,10 +112,15 @@ def test_at_the_factor_it_gives_the_distance_is_the_protective_one() -> None:
 
 @pytest.mark.parametrize("settings", [CONSTANT, ProtectiveDistanceSettings()])
 def test_nearer_and_faster_never_gain(settings: ProtectiveDistanceSettings) -> None:
-    nearer = [separation(seen(d, 0.2), settings=settings).factor for d in np.arange(0.0, 1.0, 0.05)]
-    assert (np.diff(nearer) <= 1e-9).all()
-    assert nearer[0] == 1.0
-    assert nearer[-1] == 0.0
+    for speed in (-1.0, 0.0, 0.2, 1.5, 2.5):
+        for v, factor in ((V, 1.0), (0.3 * V, 0.3), (0.0 * V, 0.0)):
+            nearer = [
+                separation(seen(d, speed), v=v, factor=factor, settings=settings).factor
+                for d in np.arange(-0.2, 1.0, 0.05)
+            ]
+            assert (np.diff(nearer) <= 1e-9).all()
+            assert nearer[-1] == 0.0
+            assert nearer[0] == 1.0 or speed > 0.2
     faster = [separation(seen(0.5, speed), settings=settings).factor for speed in (0.0, 0.5, 1.0, 2.0, 3.0)]
     assert (np.diff(faster) <= 1e-9).all()
 
