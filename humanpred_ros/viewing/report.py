@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import inspect
 import math
 import multiprocessing
@@ -35,6 +36,8 @@ from humanpred_ros.viewing.run import Run, read_run
 
 _TEMPLATES = Path(__file__).resolve().parent / "templates"
 _TEMPLATE = "report.html.j2"
+#: Characters of a replay: with the plots, a report can be sent by mail.
+_LARGEST_REPLAY = 6_000_000
 #: Facts that are shown in the head of the report; all facts are in its last part.
 _HEAD_FACTS = ("scene", "library", "trajectory", "mode", "predictor", "seed")
 #: Recorded options of `humanpred demo`, as they are spelt on its command line.
@@ -57,25 +60,40 @@ def report_run(folder: str | Path, path: str | Path | None = None, namespace: st
     """
     analysis = analyse(read_run(folder, namespace))
     path = Path(folder) / "report.html" if path is None else Path(path)
-    write_report(analysis, path)
+    write_report(analysis, path, _replay(analysis))
     with replacing(path.with_name("summary.json")) as part:
         part.write_text(analysis.summary.to_json(), encoding="utf-8")
     return analysis.summary
 
 
-def write_report(analysis: Analysis, path: Path) -> None:
+def _replay(analysis: Analysis) -> str:
+    """Return a page that plays the run in 3D; empty where viser or the scene is missing, or it is too large."""
+    if importlib.util.find_spec("viser") is None or analysis.workcell.scene is None or not analysis.run.duration_s:
+        return ""
+    from humanpred_ros.viewing.playback import Recording, replay_page
+
+    page = replay_page(Recording(analysis.run, analysis.workcell))
+    return page if len(page) <= _LARGEST_REPLAY else ""
+
+
+def write_report(analysis: Analysis, path: Path, replay: str = "") -> None:
     """Write the report of a run as one HTML file; a file of that name is replaced when the new one is complete.
+
+    Args:
+        analysis: of the run.
+        path: of the file.
+        replay: page that plays the run; none if empty.
 
     Raises:
         UsageError: the file cannot be written there.
     """
-    text = render_report(analysis)
+    text = render_report(analysis, replay)
     with replacing(path) as part:
         part.write_text(text, encoding="utf-8")
 
 
-def render_report(analysis: Analysis) -> str:
-    """Return the report as HTML text."""
+def render_report(analysis: Analysis, replay: str = "") -> str:
+    """Return the report as HTML text; `replay` is a page that plays the run, none if empty."""
     run, summary = analysis.run, analysis.summary
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATES),
@@ -103,6 +121,7 @@ def render_report(analysis: Analysis) -> str:
         recorded=_recorded(run),
         command=reproduce_command(run),
         version=__version__,
+        replay=replay,
     )
 
 

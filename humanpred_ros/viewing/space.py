@@ -7,6 +7,7 @@ graph, says what there is at one moment.
 from __future__ import annotations
 
 import contextlib
+import io
 import re
 import socket
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -89,12 +90,14 @@ def served(settings: ServerSettings, tell: Callable[[str], None]) -> Iterator[vi
     port = _free_port(settings.host, settings.port)
     if port != settings.port:
         tell(f"port {settings.port} is in use: {port} is taken")
-    server = viser.ViserServer(host=settings.host, port=port, label="humanpred", verbose=False)
+    with contextlib.redirect_stdout(io.StringIO()):  # it says more than anybody asked for
+        server = viser.ViserServer(host=settings.host, port=port, label="humanpred", verbose=False)
     try:
         tell(f"open http://{settings.host}:{port} in a browser; Ctrl-C ends it")
         yield server
     finally:
-        server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
 
 
 def _free_port(host: str, first: int) -> int:
@@ -125,6 +128,7 @@ class SpaceView:
         self.server, self._scene, self._human = server, scene, human
         self._colours = goal_colours([goal.name for goal in scene.goals])
         self._moving: dict[str, Any] = {}
+        self._drawn: tuple[object, object] = (None, None)
         self._last: SpaceMoment | None = None
         server.scene.set_up_direction("+z")
         self._draw_scene()
@@ -138,8 +142,8 @@ class SpaceView:
         for box in self._shown.values():
             box.on_update(lambda _: self._again())
         self._threshold.on_update(lambda _: self._again())
-        views.on_click(lambda event: self._look(event.client, str(views.value)))
-        server.on_client_connect(lambda client: self._look(client, _FIRST_VIEW))
+        views.on_click(lambda event: self._look(event.client and event.client.camera, str(views.value)))
+        self._look(server.initial_camera, _FIRST_VIEW)
 
     def show(self, moment: SpaceMoment) -> None:
         """Draw what there is at a moment."""
@@ -159,16 +163,15 @@ class SpaceView:
         if self._last is not None:
             self.show(self._last)
 
-    def _look(self, client: Any, name: str) -> None:
-        if client is None:
+    def _look(self, camera: Any, name: str) -> None:
+        if camera is None:
             return
         away, left, up = _VIEWS[name]
         ahead = (self._middle - self._scene.T_world_human[:3, 3]) * [1.0, 1.0, 0.0]
         ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
         aside = np.array([-ahead[1], ahead[0], 0.0])
-        client.camera.up_direction = (0.0, 0.0, 1.0)
-        client.camera.position = self._middle + away * ahead + left * aside + [0.0, 0.0, up]
-        client.camera.look_at = self._middle
+        camera.position = self._middle + away * ahead + left * aside + [0.0, 0.0, up]
+        camera.look_at = self._middle
 
     def _draw_scene(self) -> None:
         scene = self._scene
@@ -224,6 +227,10 @@ class SpaceView:
             self._moving[key].visible = False
 
     def _occupancy(self, moment: SpaceMoment, shown: bool) -> None:
+        how = (self._threshold.value, shown)
+        if moment.centres_m is self._drawn[0] and how == self._drawn[1]:
+            return  # the voxels are most of what is sent
+        self._drawn = moment.centres_m, how
         kept = moment.probability >= max(self._threshold.value, 1e-6)
         points = moment.centres_m[kept] if shown else np.zeros((0, 3))
         colours = PROBABILITY(moment.probability[kept])[:, :3] if shown else np.zeros((0, 3))
@@ -242,6 +249,15 @@ class SpaceView:
         for (label, bar), (name, value) in zip(self._bars, likely + [("", 0.0)] * (_BARS - len(likely)), strict=True):
             label.content = f"{as_text(name)} {value:.0%}" if name else ""
             set_value(bar, 100.0 * value)
+
+
+def said(moment: SpaceMoment) -> str:
+    """Return in one line of text what a moment's decision says."""
+    head = "" if moment.t_s is None else f"{moment.t_s:.2f} s"
+    if moment.decision is None:
+        return head
+    parts = (head, moment.decision.action, moment.decision.chosen, moment.decision.reason)
+    return printable("  ".join(part for part in parts if part))
 
 
 def _told(decision: RecordedDecision | None) -> Iterator[str]:
