@@ -8,7 +8,7 @@ its own: what another node on this machine would see.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -114,8 +114,21 @@ def write_motion(folder: Path, library: MotionLibrary, motion: Motion, seconds: 
     return write_library_bag(played, folder)
 
 
-def replay(group: NodeGroup, motion: Path, listener: str = "occupancy_predictor") -> tuple[NodeUsage, ...]:
+def replay(
+    group: NodeGroup,
+    motion: Path,
+    listener: str = "occupancy_predictor",
+    within: Sequence[str] = (),
+    meanwhile: Callable[[], None] = lambda: None,
+) -> tuple[NodeUsage, ...]:
     """Replay the one motion of a bag to the nodes of a group, once they are ready; return what each used meanwhile.
+
+    Args:
+        group: the nodes.
+        motion: bag with the motion.
+        listener: node that must listen to the postures.
+        within: as for `NodeGroup.start`.
+        meanwhile: called again and again once the replay has started.
 
     Raises:
         UsageError: a node that failed, or did not get ready.
@@ -130,6 +143,7 @@ def replay(group: NodeGroup, motion: Path, listener: str = "occupancy_predictor"
             "listener": listener,
             "ready_timeout_s": _READY_LIMIT_S,
         },
+        within=within,
     )
     # When each node was looked at first and last, s, and what it had used then: some may end meanwhile.
     first: dict[str, tuple[float, float]] = {}
@@ -137,6 +151,7 @@ def replay(group: NodeGroup, motion: Path, listener: str = "occupancy_predictor"
 
     def note_usage() -> None:
         if first or _STARTED in tracker.tail():
+            meanwhile()
             for node in group.nodes:
                 usage = node.usage()
                 if usage is not None:

@@ -97,13 +97,18 @@ class NodeGroup:
     nodes: list[NodeProcess] = field(default_factory=list)
 
     def start(
-        self, node: str, parameters: Mapping[str, ParameterValue], remap: Mapping[str, str] | None = None
+        self,
+        node: str,
+        parameters: Mapping[str, ParameterValue],
+        remap: Mapping[str, str] | None = None,
+        within: Sequence[str] = (),
     ) -> NodeProcess:
         """Start `python -m humanpred_ros.nodes.<node>` with ROS parameters and other names for its topics.
 
-        A node started again gets a log of its own, `<node>_2.log` and so on.
+        A node started again gets a log of its own, `<node>_2.log` and so on. What stands in front of the command
+        (`within`, as `TwoHosts.on`) must become it.
         """
-        command = [sys.executable, "-m", f"humanpred_ros.nodes.{node}", "--ros-args"]
+        command = [*within, sys.executable, "-m", f"humanpred_ros.nodes.{node}", "--ros-args"]
         for name, value in parameters.items():
             command += ["-p", f"{name}:={_yaml(value)}"]
         for name, other in (remap or {}).items():
@@ -274,6 +279,11 @@ def _prepare_child() -> None:
     """Let the child take SIGINT, whatever the parent did with it, and on Linux die with its parent."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPTS)
+    ends_with_parent()
+
+
+def ends_with_parent() -> None:
+    """Let the kernel end this process when its parent ends, where there is Linux."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 

@@ -97,6 +97,9 @@ class OccupancyPredictorSettings(PlausibilitySettings, StampSettings, NodeSettin
     body_id: str = setting("body_0", "REP-155 body id listened to")
     threshold: float = setting(0.001, "voxels with a higher probability are published", low=0.0, high=1.0)
     listener: str = setting("", "node that must be listening to the occupancy before this one is ready")
+    copies: int = setting(
+        1, "the compact form of each occupancy is sent so often: 2 or 3 over links that lose", low=1, high=5
+    )
     lossless: bool = setting(False, "subscribe reliably and keep every posture (stepped runs)")
 
 
@@ -156,7 +159,7 @@ class OccupancyPredictorNode(GraphNode):
         self.last_marker_ns = 0
         self.place_warnings: dict[str, str] = {}
 
-        self.occupancies = OccupancyPublisher(self)
+        self.occupancies = OccupancyPublisher(self, 1 if settings.lossless else settings.copies)
         self.goal_publisher = self.create_publisher(PointCloud2, topics.HUMAN_GOALS, qos.SENSOR_PUBLISHER)
         self.marker_publisher = self.create_publisher(MarkerArray, topics.OCCUPANCY_MARKERS, qos.MARKERS)
         self.grid_publisher = self.create_publisher(String, topics.VOXEL_GRID, qos.LATCHED)

@@ -84,21 +84,27 @@ class OccupancyPublisher:
         compact: the publisher of the compact form.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, copies: int = 1) -> None:
+        """Take the node, and how often the compact form of each occupancy is sent, for links that lose."""
+        self._copies = copies
         self.compact = node.create_publisher(CompressedImage, topics.COMPACT_OCCUPANCY, qos.SENSOR_PUBLISHER)
         self.cloud = node.create_publisher(PointCloud2, topics.OCCUPANCY, qos.SENSOR_PUBLISHER)
 
     def publish(self, occupancy: Occupancy, threshold: float, t_ns: int) -> None:
         """Publish what `Occupancy.sparse(threshold)` keeps."""
-        self.compact.publish(compact_message(occupancy, threshold, t_ns))
+        self._publish_compact(compact_message(occupancy, threshold, t_ns))
         if self.cloud.get_subscription_count():
             self.cloud.publish(conversions.occupancy_cloud(occupancy, threshold, t_ns))
 
     def publish_unknown(self, reason: str, t_ns: int) -> None:
         """Publish that nobody knows where people are, and why."""
-        self.compact.publish(unknown_message(reason, t_ns))
+        self._publish_compact(unknown_message(reason, t_ns))
         if self.cloud.get_subscription_count():
             self.cloud.publish(conversions.unknown_cloud(reason, t_ns))
+
+    def _publish_compact(self, message: CompressedImage) -> None:
+        for _ in range(self._copies):
+            self.compact.publish(message)
 
 
 class OccupancyInput:
@@ -116,7 +122,7 @@ class OccupancyInput:
         """Take what `GraphNode.listen` takes; where `raw`, the callback is given the topic's name first."""
         self._node, self._callback, self._profile = node, callback, profile
         self._max_age_s, self._raw = max_age_s, raw
-        self._last: tuple[int, type[Any]] = (-1, object)
+        self._last: tuple[int, type[Any], str] = (-1, object, "")
         self._cloud: Subscription | None = None
         self._compact = self._listen(topics.COMPACT_OCCUPANCY)
         self._look()
@@ -151,11 +157,12 @@ class OccupancyInput:
         return self._node.listen(FORMS[topic], topic, heard, self._profile, max_age_s=self._max_age_s, raw=self._raw)
 
     def _once(self, message: PointCloud2 | CompressedImage) -> bool | None:
-        """Pass a message on unless the same occupancy came in the other form."""
+        """Pass a message on unless the same occupancy came before: in the other form, or as a copy."""
         stamp_ns, form = conversions.stamp_ns(message.header.stamp), type(message)
-        if self._last[0] == stamp_ns and self._last[1] is not form:
+        text = "" if isinstance(message, PointCloud2) else message.format
+        if self._last[0] == stamp_ns and (self._last[1] is not form or (text and self._last[2] == text)):
             return False
-        self._last = stamp_ns, form
+        self._last = stamp_ns, form, text
         return self._callback(message)
 
     def _look(self) -> None:
