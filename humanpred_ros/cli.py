@@ -52,6 +52,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "bench soak": ("nodes.soak_bench:run", "how the running graph holds out, with a fault now and then"),
     "bench faults": ("nodes.fault_bench:run", "what the running graph does when something goes wrong, fault by fault"),
     "bench fuzz": ("evaluation.fuzz_files:run", "damaged files of every kind, and damaged messages to every node"),
+    "robot check": ("evaluation.robot_check:run", "what an arm is made of, and how well its spheres cover its meshes"),
+    "scene check": ("evaluation.scene_check:run", "plan every task of a scene once with nobody there, and draw it"),
+    "scene schema": ("evaluation.scene_check:schema", "the JSON schema of scene files, for editors"),
     "bag check": ("commands:bag_check", "read a bag completely, with checksums"),
     "bag salvage": ("commands:bag_salvage", "copy what is intact in a damaged bag to a new one"),
 }

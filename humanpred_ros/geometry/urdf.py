@@ -223,22 +223,30 @@ def _shape(geometry: Any, marked: bool, semi_axis_m: float | None) -> Shape:
 
 
 def _mesh(where: str, mesh: Any, folder: Path | None, files: list[tuple[str, int, int]]) -> FloatArray:
-    import trimesh
-
     # package:// names a folder above the URDF, whatever that package is called in this installation.
     name = str(mesh.filename).removeprefix("package://").removeprefix("file://")
     folders = [] if folder is None else [folder, *folder.parents]
     found = next((path for path in (base / name for base in folders or [Path("/")]) if path.is_file()), None)
     if found is None:
         raise UsageError(f"{where}: wanted the mesh {mesh.filename}, which is not beside the URDF nor above it")
-    try:
-        loaded: Any = trimesh.load(found, force="mesh", process=False)
-        triangles = np.array(loaded.triangles, dtype=np.float64)
-    except (ValueError, TypeError, OSError, ImportError) as trouble:
-        raise UsageError(f"{where}: wanted a readable mesh, got {found}: {trouble}") from trouble
+    triangles = read_mesh(found, where)
     files.append(_state(str(found)))
     scaled: FloatArray = triangles if mesh.scale is None else triangles * mesh.scale
     return scaled
+
+
+def read_mesh(file: Path, where: str) -> FloatArray:
+    """Return the triangles (F, 3, 3) of a mesh file, in its own unit; UsageError, after `where`, if it has none."""
+    import trimesh
+
+    try:
+        loaded: Any = trimesh.load(file, force="mesh", process=False)
+        triangles = np.array(loaded.triangles, dtype=np.float64).reshape(-1, 3, 3)
+    except (ValueError, TypeError, OSError, ImportError, AttributeError, KeyError, IndexError) as trouble:
+        raise UsageError(f"{where}: wanted a readable mesh, got {file}: {trouble}") from trouble
+    if not len(triangles) or not np.isfinite(triangles).all():
+        raise UsageError(f"{where}: wanted a mesh of triangles, got {file}, which has none that are finite")
+    return triangles
 
 
 def _state(file: str) -> tuple[str, int, int]:

@@ -26,16 +26,17 @@ from humanpred_ros.robot.surface import Bounds, covering_boxes, covering_spheres
 
 #: Between 3 and 5 cm: fine against a forearm's width, coarse enough for some 180 points on an arm.
 BODY_POINT_SPACING_M = 0.04
-#: Spheres of a link are at most this much larger than what encloses its cross-section: smaller ones would need several
-#: rows, larger ones stick out farther. Fingertips get no smaller ones than the least, m.
-_LARGER, _LEAST_SPHERE_M = 1.15, 0.03
+#: Largest spheres of a link, as a share of the radius of the column that holds it: some 40 on an arm. Larger ones would
+#: stick out farther. None is larger than the most or, on thin links, smaller than the least, m.
+_SHARE, _LEAST_SPHERE_M, _MOST_SPHERE_M = 0.85, 0.03, 0.075
 _LARGEST_SHOULDER_SPHERE_M = 0.1  # only decides whether a scene leaves the shoulder room
-_LEAST_SAVING_M3 = 0.0005  # half a litre: some 60 boxes for a large robot; a torso's are 0.064 m3, one would be 0.173
 #: A sphere is a box of no size with a round edge; boxes need a size, m.
 _NO_SIZE_M = 1e-9
 #: No arm is longer: metres were meant for millimetres.
 _LONGEST_LINK_M = 10.0
 _WEIGHT_SAMPLES = 256
+#: So the seven weights found for the PR2 add up to P1's.
+_UNIT = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,6 +205,13 @@ class Robot:
             points.append(part)
         return BodyPoints(np.concatenate(link), np.concatenate(points))
 
+    def link_surfaces(self) -> dict[str, FloatArray]:
+        """Return the surface (F, 3, 3) of every moving link but the shoulder's, in the frame of its joint."""
+        found: dict[str, list[FloatArray]] = {}
+        for _, surface in self._parts(shoulder=False):
+            found.setdefault(surface.link, []).append(surface.triangles)
+        return {link: np.concatenate(triangles) for link, triangles in found.items()}
+
     @cached_property
     def spheres(self) -> BodySpheres:
         """Spheres that cover the surfaces of all moving links but the shoulder's, in joint order."""
@@ -238,12 +246,13 @@ class Robot:
         given = said.largest_sphere_of_m.get(surface.link, said.largest_sphere_m)
         if given is not None:
             return given
-        return max(_LEAST_SPHERE_M, _LARGER * slimness_m(surface.triangles))
+        return float(np.clip(_SHARE * slimness_m(surface.triangles), _LEAST_SPHERE_M, _MOST_SPHERE_M))
 
     @cached_property
     def inner_boxes(self) -> tuple[BodyBoxes, tuple[str, ...]]:
         """Boxes that fill the moving links, in joint order, and the link that each fills: what others can run into."""
         boxes: list[tuple[int, FloatArray, FloatArray, float]] = []
+        saving_m3 = self.file.collision.box_saving_m3
         links: list[str] = []
         for joint, surface in ((joint, one) for joint, surfaces in enumerate(self._moving) for one in surfaces):
             if isinstance(surface.shape, Sphere) and surface.centre_m is not None:
@@ -251,7 +260,7 @@ class Robot:
             else:
                 found = [
                     (joint, (lower + upper) / 2.0, (upper - lower) / 2.0, 0.0)
-                    for lower, upper in covering_boxes(surface.triangles, _LEAST_SAVING_M3)
+                    for lower, upper in covering_boxes(surface.triangles, saving_m3)
                 ]
             boxes += found
             links += [surface.link] * len(found)
@@ -262,8 +271,9 @@ class Robot:
     def fixed_boxes(self) -> tuple[tuple[Bounds, ...], ...]:
         """Boxes that fill each fixed surface of the collision geometry, in its own frame; none for round solids."""
         surfaces = PlacedDescription(self.collision, np.eye(4), {}).fixed_surfaces(self.file.joints)
+        saving_m3 = self.file.collision.box_saving_m3
         return tuple(
-            tuple(covering_boxes(surface.triangles, _LEAST_SAVING_M3))
+            tuple(covering_boxes(surface.triangles, saving_m3))
             if surface.shape is None or isinstance(surface.shape, Box)
             else ()
             for surface, _ in surfaces
@@ -302,8 +312,8 @@ class Robot:
     def distance_weights(self) -> FloatArray:
         """(J,) configuration distance of one radian of each joint, as the file gives them.
 
-        Without any, how far a joint moves what it carries on average: mean distance of the body points from its axis,
-        over configurations drawn within the limits.
+        Without any, from how far a joint moves what it carries: mean distance of the body points from its axis, over
+        configurations drawn within the limits, in the unit of P1's weights.
         """
         n = len(self.file.joints)
         if self.file.distance_weights is not None:
@@ -318,7 +328,7 @@ class Robot:
         for j in range(n):
             axis = poses[:, j, :3, :3] @ chain.joint_axis[j]
             beyond = world[:, points.link >= j] - poses[:, None, j, :3, 3]
-            weights[j] = np.linalg.norm(np.cross(beyond, axis[:, None]), axis=-1).mean() if beyond.size else 0.0
+            weights[j] = _UNIT * np.linalg.norm(np.cross(beyond, axis[:, None]), axis=-1).mean() if beyond.size else 0.0
         return np.maximum(weights, 1e-3)
 
 

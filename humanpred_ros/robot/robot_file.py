@@ -42,6 +42,9 @@ class CollisionSection(Section):
     largest_sphere_of_m: dict[Name, PositiveFloat] = Field(
         {}, max_length=1000, description="The same for single links (m)"
     )
+    box_saving_m3: PositiveFloat = Field(
+        0.0001, description="Links are filled with as many boxes as save this volume each (m^3)"
+    )
     pairs_left_out: tuple[tuple[Links, Links], ...] = Field(
         (), max_length=10_000, description="Links, or lists of links, that are never checked against each other"
     )

@@ -16,15 +16,21 @@ from humanpred_ros.errors import ArrayError, GoalUnreachableError, SceneError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.geometry.distance_field import DEFAULT_RESOLUTION_M, SignedDistanceField, build_distance_field
 from humanpred_ros.geometry.lattice import VoxelGrid
-from humanpred_ros.geometry.solids import Box, Obstacle, cylinder, planar_pose
+from humanpred_ros.geometry.solids import Box, Obstacle, Sphere, cylinder, planar_pose
+from humanpred_ros.geometry.urdf import read_mesh
 from humanpred_ros.robot.arm import Arm
 from humanpred_ros.robot.clearance import nearest_contacts, shoulder_approach
 from humanpred_ros.robot.goals import Goal, tool_goal
 from humanpred_ros.robot.robot import load_robot
-from humanpred_ros.robot.scene_file import GoalSection, RobotSection, SceneFile, read_scene_file, start_of
+from humanpred_ros.robot.scene_file import LARGEST_M, GoalSection, RobotSection, SceneFile, read_scene_file, start_of
+from humanpred_ros.robot.surface import covering_boxes
 
 #: Distances beyond this need not be told apart: links are skipped, and movements proven free, well below it, m.
 _FIELD_CAP_M = 0.5
+#: A fitted lattice's voxels, and how far it goes beyond the arm's reach, m.
+_VOXEL_M, _BEYOND_M = 0.05, 0.3
+#: A mesh is filled with as many boxes as save this volume each, m^3; none is thinner, m.
+_MESH_SAVING_M3, _THINNEST_M = 0.0001, 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +66,7 @@ class Scene:
     #: at least one, with different names; continuous joints are unwrapped so that `goal.configurations - start` is the
     #: shorter way
     goals: tuple[Goal, ...]
-    table: Obstacle  #: the table's top
-    objects: tuple[Obstacle, ...]  #: what stands on it
+    obstacles: tuple[Obstacle, ...]  #: table and objects
     T_world_human: FloatArray  #: (4, 4) pose of the tracker's frame, in which postures are given
     grid: VoxelGrid  #: the voxels in which human occupancy is predicted
     #: where the person may reach, with different labels; without any the predictor asks its library
@@ -75,7 +80,7 @@ class Scene:
             raise SceneError(f"scene {self.name}: wanted at least one goal, got none; add one under goals")
         for what, names in (
             ("goal names", [goal.name for goal in self.goals]),
-            ("object names", [obstacle.name for obstacle in self.obstacles]),
+            ("names of table, objects and obstacles", [obstacle.name for obstacle in self.obstacles]),
             ("labels of places", [str(place.label) for place in self.places]),
         ):
             twice = sorted({name for name in names if names.count(name) > 1})
@@ -93,11 +98,6 @@ class Scene:
     def T_world_base(self) -> FloatArray:  # noqa: N802
         """(4, 4) pose of the robot's base."""
         return self.arm.T_world_base
-
-    @property
-    def obstacles(self) -> tuple[Obstacle, ...]:
-        """Table and objects."""
-        return (self.table, *self.objects)
 
     def goal(self, name: str) -> Goal:
         """Return the goal of that name.
@@ -164,7 +164,7 @@ def load_scene(name_or_path: str | Path, *, check: bool = True) -> Scene:
             that no configuration reaches without collision.
     """
     try:
-        scene = _scene(read_scene_file(name_or_path))
+        scene = scene_of(read_scene_file(name_or_path))
     except ArrayError as trouble:
         raise SceneError(f"scene {Path(name_or_path).stem}: {trouble}") from trouble
     if check:
@@ -172,32 +172,67 @@ def load_scene(name_or_path: str | Path, *, check: bool = True) -> Scene:
     return scene
 
 
-def _scene(file: SceneFile) -> Scene:
+def scene_of(file: SceneFile) -> Scene:
+    """Return the scene that a file describes; raises as `load_scene`, and nothing for what touches."""
     arm = _arm(file.robot)
     start = arm.check_configuration(start_of(file)[1], f"start of scene {file.name}")
-    top, size = file.table.top_centre_m, file.table.size_m
-    T_world_table = planar_pose(top[0], top[1], top[2] - size[2] / 2.0, float(file.table.angle("yaw")))
-    table = Obstacle("table", Box(*size), T_world_table)
-    objects = tuple(
-        Obstacle(
-            entry.name,
-            cylinder(entry.radius_m, entry.height_m),
-            planar_pose(entry.base_m[0], entry.base_m[1], entry.base_m[2] + entry.height_m / 2.0),
-        )
-        for entry in file.objects
-    )
+    obstacles = _obstacles(file)
     return Scene(
         name=file.name,
         arm=arm,
         start=start,
-        goals=tuple(_goal(entry, arm, start, (table, *objects)) for entry in file.goals),
-        table=table,
-        objects=objects,
+        goals=tuple(_goal(entry, arm, start, obstacles) for entry in file.goals),
+        obstacles=obstacles,
         T_world_human=planar_pose(*file.human.offset_m, float(file.human.angle("yaw"))),
-        grid=VoxelGrid(file.grid.origin_m, file.grid.resolution_m, file.grid.shape),
+        grid=VoxelGrid(file.grid.origin_m, file.grid.resolution_m, file.grid.shape) if file.grid else fitted_grid(arm),
         places=tuple(Place(entry.label, np.array(entry.place_m)) for entry in file.places),
         human_frame=file.human.frame or "",
     )
+
+
+def fitted_grid(arm: Arm) -> VoxelGrid:
+    """Return a lattice around all that the arm can reach, and as far beyond as a person matters to it."""
+    centre, radius = arm.reach
+    lower = np.floor((centre - radius - _BEYOND_M) / _VOXEL_M)
+    upper = np.ceil((centre + radius + _BEYOND_M) / _VOXEL_M)
+    x, y, z = (float(value) for value in lower * _VOXEL_M)
+    i, j, k = (int(value) for value in upper - lower)
+    return VoxelGrid((x, y, z), _VOXEL_M, (i, j, k))
+
+
+def _obstacles(file: SceneFile) -> tuple[Obstacle, ...]:
+    found = []
+    if file.table is not None:
+        top, size = file.table.top_centre_m, file.table.size_m
+        pose = planar_pose(top[0], top[1], top[2] - size[2] / 2.0, float(file.table.angle("yaw")))
+        found.append(Obstacle("table", Box(*size), pose))
+    for entry in file.objects:
+        pose = planar_pose(entry.base_m[0], entry.base_m[1], entry.base_m[2] + entry.height_m / 2.0)
+        found.append(Obstacle(entry.name, cylinder(entry.radius_m, entry.height_m), pose))
+    for solid in file.obstacles:
+        pose = _pose(solid.position_m, solid.angle("orientation"))
+        if solid.mesh is not None:
+            found += _mesh_obstacles(solid.name, Path(solid.mesh), pose)
+        elif solid.box_m is not None:
+            found.append(Obstacle(solid.name, Box(*solid.box_m), pose))
+        elif solid.cylinder_m is not None:
+            found.append(Obstacle(solid.name, cylinder(*solid.cylinder_m), pose))
+        elif solid.sphere_m is not None:
+            found.append(Obstacle(solid.name, Sphere(solid.sphere_m), pose))
+    return tuple(found)
+
+
+def _mesh_obstacles(name: str, file: Path, pose: FloatArray) -> list[Obstacle]:
+    """Return boxes that fill a closed mesh."""
+    triangles = read_mesh(file, f"obstacle {name}")
+    if (size := float(np.ptp(triangles.reshape(-1, 3), axis=0).max())) > LARGEST_M:
+        raise SceneError(f"obstacle {name}: wanted a mesh in metres, got {file}, which is {size:.0f} m long; scale it")
+    parts = []
+    for k, (lower, upper) in enumerate(covering_boxes(triangles, _MESH_SAVING_M3), 1):
+        T = pose.copy()
+        T[:3, 3] += pose[:3, :3] @ ((lower + upper) / 2.0)
+        parts.append(Obstacle(f"{name} (part {k})", Box(*np.maximum(upper - lower, _THINNEST_M)), T))
+    return parts
 
 
 def _arm(section: RobotSection) -> Arm:

@@ -9,7 +9,7 @@ import os
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BeforeValidator, Field, PositiveFloat, StrictInt, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, StrictInt, model_validator
 
 from humanpred_ros.errors import SceneError
 from humanpred_ros.files import file_inside
@@ -21,7 +21,21 @@ from humanpred_ros.robot.sections import Name, Section, read_section
 #: The file in which a run keeps the scene that it was made with.
 RECORDED_SCENE = "scene.yaml"
 
+#: No workplace is larger, m.
+LARGEST_M = 100.0
+
+
+def _metres(value: float) -> float:
+    if abs(value) > LARGEST_M:
+        raise ValueError(f"wanted metres, at most {LARGEST_M:.0f}; divide by 1000 what is in millimetres")
+    return value
+
+
+Metres = Annotated[float, AfterValidator(_metres)]
+Length = Annotated[float, Field(gt=0.0), AfterValidator(_metres)]
 Triple = tuple[float, float, float]
+Place = tuple[Metres, Metres, Metres]
+Lengths = tuple[Length, Length, Length]
 ArmAngles = Annotated[tuple[float, ...], Field(min_length=1, max_length=100)]  # in joint order
 EachAxis = Annotated[
     Triple, BeforeValidator(lambda value: (value,) * 3 if isinstance(value, int | float) else value, Triple | float)
@@ -33,7 +47,7 @@ class RobotSection(Section):
 
     optional_angles = ("base_orientation", "yaw", "left_arm")
     name: Name | None = Field(None, description="A robot of the package, or the file of one, relative to this file")
-    base_m: Triple | None = Field(None, description="Place of the robot's base, world frame (m)")
+    base_m: Place | None = Field(None, description="Place of the robot's base, world frame (m)")
     base_orientation_rad: Triple | None = Field(
         None, description="Its roll, pitch, yaw about the world's x, y, z axes (rad); none: upright"
     )
@@ -41,7 +55,7 @@ class RobotSection(Section):
     standing: dict[Name, Number] = Field(
         {}, max_length=1000, description="Joints that stand elsewhere than the robot's file says (rad or m)"
     )
-    base_xy_m: tuple[float, float] | None = Field(
+    base_xy_m: tuple[Metres, Metres] | None = Field(
         None, description="Place of a base on the floor, world frame (m), instead of base_m"
     )
     yaw_rad: float | None = Field(None, description="Turn of such a base about the vertical (rad)")
@@ -81,7 +95,7 @@ class RobotSection(Section):
 class ToolPoseSection(Section):
     """Where a task wants the tool, and how exactly."""
 
-    position_m: Triple = Field(description="Wanted place of the tool, world frame (m)")
+    position_m: Place = Field(description="Wanted place of the tool, world frame (m)")
     orientation_rad: Triple | None = Field(None, description="Roll, pitch, yaw about the world's x, y, z axes (rad)")
     orientation_deg: Triple | None = Field(None, description="The same in degrees")
     position_tolerance_m: EachAxis = Field(description="Largest displacement along each axis of the wanted pose (m)")
@@ -111,11 +125,11 @@ class GoalSection(Section):
 
 
 class TableSection(Section):
-    """The table's top: a box."""
+    """The table's top: a box that turns about the vertical only."""
 
     optional_angles = ("yaw",)
-    top_centre_m: Triple = Field(description="Middle of its upper face, world frame (m)")
-    size_m: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = Field(description="Lengths along its own axes (m)")
+    top_centre_m: Place = Field(description="Middle of its upper face, world frame (m)")
+    size_m: Lengths = Field(description="Lengths along its own axes (m)")
     yaw_rad: float | None = Field(None, description="Turn about the vertical (rad)")
     yaw_deg: float | None = Field(None, description="The same in degrees")
 
@@ -124,15 +138,42 @@ class ObjectSection(Section):
     """An upright cylinder."""
 
     name: Name = Field(description="What messages call it")
-    base_m: Triple = Field(description="Middle of its lower face, world frame (m)")
-    radius_m: float = Field(gt=0.0)
-    height_m: float = Field(gt=0.0)
+    base_m: Place = Field(description="Middle of its lower face, world frame (m)")
+    radius_m: Length
+    height_m: Length
+
+
+class ObstacleSection(Section):
+    """A solid that stands anywhere: exactly one of a box, a cylinder, a sphere and a mesh."""
+
+    optional_angles = ("orientation",)
+    name: Name = Field(description="What messages call it")
+    position_m: Place = Field(description="Its middle, or a mesh's own origin, world frame (m)")
+    orientation_rad: Triple | None = Field(
+        None, description="Its roll, pitch, yaw about the world's x, y, z axes (rad); none: upright"
+    )
+    orientation_deg: Triple | None = Field(None, description="The same in degrees")
+    box_m: Lengths | None = Field(None, description="Lengths of a box along its own axes (m)")
+    cylinder_m: tuple[Length, Length] | None = Field(
+        None, description="Radius of a cylinder, and length along its z axis (m)"
+    )
+    sphere_m: Length | None = Field(None, description="Radius of a sphere (m)")
+    mesh: Name | None = Field(
+        None, description="File of a closed mesh in metres (STL, OBJ, DAE), relative to this file"
+    )
+
+    @model_validator(mode="after")
+    def _one_solid(self) -> ObstacleSection:
+        given = [name for name in ("box_m", "cylinder_m", "sphere_m", "mesh") if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(f"wanted one of box_m, cylinder_m, sphere_m and mesh, got {' and '.join(given) or 'none'}")
+        return self
 
 
 class HumanSection(Section):
     """Where the tracker's frame is, in which postures are given."""
 
-    offset_m: Triple = Field(description="Its origin, world frame (m)")
+    offset_m: Place = Field(description="Its origin, world frame (m)")
     yaw_rad: float | None = Field(None, description="Its turn about the vertical (rad)")
     yaw_deg: float | None = Field(None, description="The same in degrees")
     frame: Name | None = Field(None, description="Its name in headers and TF; none: that of the library learned from")
@@ -150,24 +191,38 @@ class PlaceSection(Section):
     """A place the person may reach for."""
 
     label: StrictInt = Field(description="Whole number; where a library has a class of reaches to it, that class's")
-    place_m: Triple = Field(description="Where the palm ends, world frame (m)")
+    place_m: Place = Field(description="Where the palm ends, world frame (m)")
 
 
 class SceneFile(Section):
-    """A workplace: robot, tasks, table, objects, where the person is tracked; metres, world frame, z up."""
+    """A workplace: robot, tasks, obstacles, where the person is tracked; metres, world frame, z up."""
 
+    optional_angles = ("start",)
     name: Name = Field(description="What reports call it")
     robot: RobotSection
     start_rad: ArmAngles | None = Field(None, description="Configuration of the arm at the beginning (rad)")
     start_deg: ArmAngles | None = Field(None, description="The same in degrees")
+    start_state: Name | None = Field(None, description="The same by its name in the robot's file or SRDF")
     goals: tuple[GoalSection, ...] = Field(max_length=100)
-    table: TableSection
-    objects: tuple[ObjectSection, ...] = Field(max_length=1000)
+    table: TableSection | None = Field(None, description="A table; further ones are obstacles")
+    objects: tuple[ObjectSection, ...] = Field((), max_length=1000, description="Upright cylinders, such as cups")
+    obstacles: tuple[ObstacleSection, ...] = Field((), max_length=1000, description="Anything else that stands there")
     human: HumanSection
-    grid: GridSection
+    grid: GridSection | None = Field(
+        None, description="The lattice; none: all that the arm can reach, in voxels of 0.05 m"
+    )
     places: tuple[PlaceSection, ...] = Field(
         (), max_length=1000, description="Places the person may reach for; none: the library's"
     )
+
+    @model_validator(mode="after")
+    def _one_start(self) -> SceneFile:
+        if self.has_angle("start") == (self.start_state is not None):
+            got = "both" if self.start_state else "neither"
+            raise ValueError(
+                f"wanted either start_rad or start_deg or start_state, got {got}; state the start in one way"
+            )
+        return self
 
 
 def start_of(file: SceneFile) -> tuple[tuple[str, ...], FloatArray]:
@@ -178,6 +233,10 @@ def start_of(file: SceneFile) -> tuple[tuple[str, ...], FloatArray]:
         SceneError: for a configuration of another length.
     """
     joints = read_robot_file(file.robot.robot).joints
+    if file.start_state is not None:
+        from humanpred_ros.robot.robot import load_robot  # reads the whole description
+
+        return joints, load_robot(file.robot.robot).state(file.start_state)
     start = file.angle("start")
     if len(start) != len(joints):
         raise SceneError(
@@ -229,8 +288,15 @@ def read_scene_file(name_or_path: str | Path) -> SceneFile:
             )
         path = share_file("config", "scenes", f"{name_or_path}.yaml")
     file = read_section(path, SceneFile, f"scene {path.stem}", SceneError)
+    # Files that it names lie where it lies.
     name = file.robot.name
+    robot, obstacles = (
+        file.robot,
+        tuple(
+            one if one.mesh is None else one.model_copy(update={"mesh": str(path.parent / one.mesh)})
+            for one in file.obstacles
+        ),
+    )
     if name and Path(name).suffix in (".yaml", ".yml"):
-        robot = file.robot.model_copy(update={"name": str(path.parent / name)})
-        file = file.model_copy(update={"robot": robot})
-    return file
+        robot = robot.model_copy(update={"name": str(path.parent / name)})
+    return file.model_copy(update={"robot": robot, "obstacles": obstacles})

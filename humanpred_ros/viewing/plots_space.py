@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -222,8 +222,8 @@ def _spacing(centres: FloatArray) -> float:
     return float(steps.min()) if len(steps) else 0.05
 
 
-def outline_of(obstacle: Obstacle) -> FloatArray:
-    """Return the outline (N, 2) of an obstacle seen from above, counter-clockwise."""
+def outline_of(obstacle: Obstacle, sides: Sequence[int] = (0, 1)) -> FloatArray:
+    """Return the outline (N, 2) of an obstacle, counter-clockwise, by two of its coordinates: seen from above."""
     if isinstance(obstacle.shape, EllipticCylinder):
         angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
         rim = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -231,7 +231,7 @@ def outline_of(obstacle: Obstacle) -> FloatArray:
         rim = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
     local = np.concatenate([np.column_stack([rim, np.full(len(rim), z)]) for z in (-1, 1)]) * obstacle.shape.half_m
     T = obstacle.T_world_shape
-    flat = (local @ T[:3, :3].T + T[:3, 3])[:, :2]
+    flat = (local @ T[:3, :3].T + T[:3, 3])[:, list(sides)]
     outline: FloatArray = flat[ConvexHull(flat).vertices]
     return outline
 

@@ -59,7 +59,7 @@ def mesh_clearance_m(scene: Scene, obstacle: Obstacle, q: np.ndarray, first_join
 def test_meshes_clear_the_table_by_the_published_distance(scene: Scene, which: str, table_m: float) -> None:
     q = scene.start if which == "start" else scene.goal(which).configuration
     # 0.0005 m is the rounding of the published figures (docs/papers.md, P1 scenes).
-    assert mesh_clearance_m(scene, scene.table, q, first_joint=0) == pytest.approx(table_m, abs=5.5e-4)
+    assert mesh_clearance_m(scene, scene.obstacles[0], q, first_joint=0) == pytest.approx(table_m, abs=5.5e-4)
 
 
 @pytest.mark.parametrize("scene", [FACE, SIDE])
@@ -87,7 +87,7 @@ def test_nearest_approach_names_link_and_obstacle() -> None:
     arm, spheres = FACE.arm, FACE.arm.spheres()
     tool = arm.chain.tool_pose(FACE.start)[:3, 3]
     post = Obstacle("post", Box(0.02, 0.02, 0.02), planar_pose(*tool))
-    nearest = nearest_approach(arm, spheres, [FACE.table, post], FACE.start)
+    nearest = nearest_approach(arm, spheres, [FACE.obstacles[0], post], FACE.start)
     assert (nearest.link, nearest.obstacle) == ("r_wrist_roll_link", "post")
     assert nearest.clearance_m < 0.0
 

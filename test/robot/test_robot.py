@@ -11,6 +11,7 @@ import yaml
 from small_robot import URDF, write_robot
 
 from humanpred_ros.errors import RobotError, SceneError
+from humanpred_ros.evaluation.robot_check import compare, cover, draw
 from humanpred_ros.geometry.solids import Box, Obstacle, planar_pose
 from humanpred_ros.robot.arm import Arm, drawn
 from humanpred_ros.robot.clearance import SelfCollision, nearest_contacts, shoulder_approach
@@ -257,3 +258,33 @@ def test_robots_that_come_with_the_package() -> None:
     assert robot_names() == ("panda", "pr2", "pr2_left", "ur5")
     with pytest.raises(RobotError, match=r"wanted one of panda, pr2, .* got 'r2d2'"):
         load_robot("r2d2")
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_verdicts_agree_with_coal_and_tool_poses_with_pinocchio(name: str) -> None:
+    """`humanpred robot check NAME --configurations 10000` measures what is sampled here."""
+    arm = Arm(name, np.eye(4))
+    found = compare(arm, draw(arm, 250, np.random.default_rng(1)))
+    assert found.touching > 5
+    assert found.missed == 0
+    # The PR2's covers are P1's: fewer and larger.
+    assert found.called_free >= (0.9 if name.startswith("pr2") else 0.96) * found.clear
+    assert found.tool_error < 1e-9
+
+
+def test_the_left_arm_mirrors_the_right() -> None:
+    right, left = Arm("pr2", np.eye(4)), Arm("pr2_left", np.eye(4))
+    assert len(left.spheres()) == len(right.spheres())
+    q = drawn(right.chain, 5)
+    mirrored = q * [-1, 1, -1, 1, -1, 1, -1]
+    tool = left.chain.tool_pose(mirrored)[:, :3, 3] * [1, -1, 1]
+    np.testing.assert_allclose(tool, right.chain.tool_pose(q)[:, :3, 3], atol=1e-6)
+    ours = [contact.clearance_m for contact in nearest_contacts(left, (), mirrored)]
+    np.testing.assert_allclose(ours, [one.clearance_m for one in nearest_contacts(right, (), q)], atol=0.05)
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_spheres_leave_nothing_bare_and_stick_out_little(name: str) -> None:
+    found = cover(load_robot(name))
+    assert max(bare for _, _, bare in found.values()) == 0.0
+    assert max(most for _, most, _ in found.values()) < 0.1

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from small_robot import write_robot
 
-from humanpred_ros.errors import GoalUnreachableError, HumanPredError, SceneError
+from humanpred_ros.errors import GoalUnreachableError, HumanPredError, RobotError, SceneError, UsageError
 from humanpred_ros.resources import share_file
 from humanpred_ros.robot.goals import Goal
 from humanpred_ros.robot.scene import Scene, load_scene
@@ -71,7 +72,9 @@ def test_the_tool_is_above_the_places_that_people_reach_for() -> None:
 
 
 def test_scenes_hold_what_the_experiments_need() -> None:
-    assert scene_names() == ("face_to_face", "four_places", "side_by_side", "tool_poses")
+    assert {"face_to_face", "four_places", "side_by_side", "tool_poses"} <= set(scene_names())
+    for robot in ("panda", "ur5"):
+        assert {f"{robot}_face_to_face", f"{robot}_side_by_side"} <= set(scene_names())
     assert [goal.name for goal in FACE.goals] == ["red", "blue"]
     assert [goal.name for goal in SIDE.goals] == ["red"]
     for scene in (FACE, SIDE):
@@ -81,9 +84,9 @@ def test_scenes_hold_what_the_experiments_need() -> None:
         np.testing.assert_allclose(scene.T_world_human[:3, :3], np.eye(3))
         assert [obstacle.name for obstacle in scene.obstacles] == ["table", "red cup", "blue cup"]
     just_above, just_below = np.array([0.0, -0.7, 0.721]), np.array([0.0, -0.7, 0.719])
-    assert FACE.table.distance_m(just_above) == pytest.approx(0.001)
-    assert FACE.table.distance_m(just_below) == pytest.approx(-0.001)
-    cup = FACE.objects[0]
+    assert FACE.obstacles[0].distance_m(just_above) == pytest.approx(0.001)
+    assert FACE.obstacles[0].distance_m(just_below) == pytest.approx(-0.001)
+    cup = FACE.obstacles[1]
     assert cup.distance_m(np.array([-0.304, -0.696, 0.730 + 0.108])) == pytest.approx(0.0, abs=1e-9)
 
 
@@ -115,7 +118,7 @@ WRONG: dict[str, tuple[Change, type[HumanPredError], str]] = {
     "degrees in a key without _deg": (lambda s: s.update(start=s.pop("start_deg")), SceneError, "start_rad, start_deg"),
     "missing section": (lambda s: s.pop("human"), SceneError, "the key human is missing"),
     "missing value": (lambda s: s["grid"].pop("shape"), SceneError, "grid: the key shape is missing"),
-    "missing angle": (lambda s: s.pop("start_deg"), SceneError, "start_rad or start_deg, got neither"),
+    "missing angle": (lambda s: s.pop("start_deg"), SceneError, "start_rad or start_deg or start_state, got neither"),
     "angle in both units": (lambda s: s.update(start_rad=[0.0] * 7), SceneError, "start_rad and start_deg"),
     "wrong length": (lambda s: s["start_deg"].pop(), SceneError, "start: wanted 7 angles .*got 6; correct"),
     "not a number": (
@@ -130,7 +133,11 @@ WRONG: dict[str, tuple[Change, type[HumanPredError], str]] = {
     "empty name": (lambda s: s["goals"][0].update(name=" "), SceneError, r"goals\[0\]: name: wanted a name"),
     "no goals": (lambda s: s.update(goals=[]), SceneError, "at least one goal"),
     "goal names twice": (lambda s: s["goals"][1].update(name="red"), SceneError, "different goal names, got red twice"),
-    "object named table": (lambda s: s["objects"][0].update(name="table"), SceneError, "object names, got table twice"),
+    "object named table": (
+        lambda s: s["objects"][0].update(name="table"),
+        SceneError,
+        "different names of table.*, got table twice",
+    ),
     "flat table": (lambda s: s["table"].update(size_m=[1.0, 1.0, 0.0]), SceneError, "table: size_m.*greater than 0"),
     "negative radius": (
         lambda s: s["objects"][0].update(radius_m=-0.1),
@@ -238,7 +245,7 @@ def test_a_scene_may_say_where_the_person_may_reach(tmp_path: Path) -> None:
 
 def test_the_schema_says_what_a_file_may_hold() -> None:
     schema = SceneFile.model_json_schema()
-    assert set(schema["required"]) == {"name", "robot", "goals", "table", "objects", "human", "grid"}
+    assert set(schema["required"]) == {"name", "robot", "goals", "human"}
     assert "(m)" in schema["$defs"]["RobotSection"]["properties"]["base_xy_m"]["description"]
     tolerance = schema["$defs"]["ToolPoseSection"]["properties"]["position_tolerance_m"]
     assert {kind["type"] for kind in tolerance["anyOf"]} == {"array", "number"}
@@ -349,7 +356,7 @@ def test_tool_poses_of_the_example_are_finished_by_every_configuration() -> None
     for goal in scene.goals:
         assert 2 <= len(goal.configurations) <= 6
         tool = scene.arm.chain.tool_pose(goal.configurations)
-        cup = next(cup for cup in scene.objects if cup.name in goal.name)
+        cup = next(cup for cup in scene.obstacles if cup.name in goal.name)
         centre = cup.T_world_shape[:3, 3]
         if goal.name.startswith("above"):
             assert np.abs(tool[:, :2, 3] - centre[:2]).max() <= 0.021, "position tolerance"
@@ -385,7 +392,7 @@ def test_radians_and_degrees_say_the_same(tmp_path: Path) -> None:
 
 
 def test_files_that_are_not_scenes_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match=r"face_to_face, four_places, side_by_side.*'back_to_back'"):
+    with pytest.raises(SceneError, match=r"face_to_face, four_places, .*side_by_side.*'back_to_back'"):
         load_scene("back_to_back")
     with pytest.raises(SceneError, match="could not be read"):
         load_scene(tmp_path / "missing.yaml")
@@ -399,3 +406,122 @@ def test_files_that_are_not_scenes_are_refused(tmp_path: Path) -> None:
 def test_an_unknown_goal_is_refused_with_the_known_ones() -> None:
     with pytest.raises(SceneError, match="red, blue, got 'green'"):
         FACE.goal("green")
+
+
+def with_panda(content: dict[str, Any]) -> None:
+    """Let the scene be the Panda's instead, with its tasks at other places."""
+    content["robot"] = {"name": "panda", "base_m": [-0.1, -0.15, 0.72], "base_orientation_deg": [0, 0, -90]}
+    del content["start_deg"]
+    content["start_state"] = "ready"
+    content["goals"] = [{"name": "left", "configuration_rad": [0.5, -0.5, 0.0, -2.2, 0.0, 1.6, 0.8]}]
+
+
+def panda_scene(folder: Path, change: Change = lambda s: None) -> Path:
+    content = yaml.safe_load(share_file("config", "scenes", "face_to_face.yaml").read_text())
+    with_panda(content)
+    change(content)
+    path = folder / "panda.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def test_a_scene_names_its_robot_and_where_that_stands(tmp_path: Path) -> None:
+    scene = load_scene(panda_scene(tmp_path))
+    assert scene.arm.robot.name == "Panda"
+    np.testing.assert_allclose(scene.start, [0, -0.785398, 0, -2.356194, 0, 1.570796, 0.785398])
+    x = scene.arm.chain.link_poses(np.zeros(7))[0, :3, 0]
+    np.testing.assert_allclose(x, [0.0, -1.0, 0.0], atol=1e-9)
+    upside_down = load_scene(
+        panda_scene(tmp_path, lambda s: s["robot"].update(base_m=[0, -0.2, 2.5], base_orientation_deg=[180, 0, 0]))
+    )
+    np.testing.assert_allclose(upside_down.arm.chain.T_world_root[:3, 2], [0, 0, -1], atol=1e-9)
+
+
+def test_a_scene_may_name_a_robots_own_file(tmp_path: Path) -> None:
+    write_robot(tmp_path)
+    path = panda_scene(tmp_path, lambda s: s["robot"].update(name="small.yaml"))
+    content = yaml.safe_load(path.read_text())
+    del content["start_state"], content["grid"]
+    content |= {"start_deg": [0, 0, 30, 0], "goals": [{"name": "left", "configuration_deg": [60, 0, 30, 0]}]}
+    path.write_text(yaml.safe_dump(content))
+    scene = load_scene(path)
+    assert scene.arm.robot.name == "small"
+    centre, radius = scene.arm.reach
+    assert (np.array(scene.grid.origin_m) < centre - radius).all(), "the lattice is fitted to the arm"
+    assert (np.array(scene.grid.origin_m) + np.array(scene.grid.shape) * 0.05 > centre + radius).all()
+
+
+def test_obstacles_of_every_kind_stand_anyhow(tmp_path: Path) -> None:
+    import trimesh
+
+    trimesh.creation.box((0.2, 0.1, 0.4)).export(tmp_path / "part.stl")
+    solids: list[dict[str, Any]] = [
+        {"name": "board", "box_m": [1.0, 0.2, 0.02], "position_m": [0, -2, 1], "orientation_deg": [90, 0, 0]},
+        {"name": "pipe", "cylinder_m": [0.05, 1.0], "position_m": [0, -2, 2], "orientation_deg": [0, 90, 0]},
+        {"name": "ball", "sphere_m": 0.1, "position_m": [1, -2, 2]},
+        {"name": "part", "mesh": "part.stl", "position_m": [-1, -2, 2], "orientation_deg": [0, 0, 90]},
+    ]
+    scene = load_scene(panda_scene(tmp_path, lambda s: s.update(obstacles=solids, table=None, objects=[])))
+    board, pipe, ball, part = scene.obstacles
+    assert [one.name for one in scene.obstacles] == ["board", "pipe", "ball", "part (part 1)"]
+    assert board.distance_m(np.array([0.0, -2.0, 1.15])) == pytest.approx(0.05)
+    assert pipe.distance_m(np.array([0.4, -2.0, 2.1])) == pytest.approx(0.05)
+    assert ball.distance_m(np.array([1.0, -2.0, 2.3])) == pytest.approx(0.2)
+    assert part.distance_m(np.array([-1.0, -1.8, 2.0])) == pytest.approx(0.1)
+
+
+WRONG_PANDA: dict[str, tuple[Change, type[HumanPredError], str]] = {
+    "an unknown robot": (lambda s: s["robot"].update(name="r2d2"), RobotError, "wanted one of panda, .* got 'r2d2'"),
+    "no robot": (lambda s: s["robot"].pop("name"), RobotError, "wanted its name, got none; add one of panda"),
+    "two bases": (lambda s: s["robot"].update(base_xy_m=[0, 0]), SceneError, "robot: wanted base_m, or base_xy_m"),
+    "a yaw beside base_m": (lambda s: s["robot"].update(yaw_deg=0), SceneError, "yaw_deg with base_xy_m alone"),
+    "another robot's key": (
+        lambda s: s["robot"].update(torso_lift_m=0.1),
+        SceneError,
+        "robot Panda: torso_lift_m: wanted 0 numbers, got 1; use standing",
+    ),
+    "an unknown standing joint": (
+        lambda s: s["robot"].update(standing={"neck": 0.1}),
+        SceneError,
+        "robot Panda: .*joint of panda, got 'neck'",
+    ),
+    "an unknown state": (
+        lambda s: s.update(start_state="tucked"),
+        RobotError,
+        r"Panda's \(ready, default\), got 'tucked'",
+    ),
+    "two starts": (lambda s: s.update(start_deg=[0.0] * 7), SceneError, "start_deg or start_state, got both"),
+    "a start of another robot": (
+        lambda s: (s.pop("start_state"), s.update(start_deg=[0.0] * 6)),
+        SceneError,
+        "start: wanted 7 angles .panda_joint1, .*got 6",
+    ),
+    "a task of another robot": (
+        lambda s: s["goals"][0].update(configuration_rad=[0.0] * 6),
+        GoalUnreachableError,
+        r"goal 'left' of scene .*wanted shape \(7,\), got \(6,\)",
+    ),
+    "millimetres": (lambda s: s["table"].update(size_m=[1400, 700, 20]), SceneError, r"size_m\[0\]: wanted metres"),
+    "two solids in one": (
+        lambda s: s.update(obstacles=[{"name": "a", "position_m": [0, 0, 0], "sphere_m": 1, "box_m": [1, 1, 1]}]),
+        SceneError,
+        r"obstacles\[0\]: wanted one of box_m, .* got box_m and sphere_m",
+    ),
+    "a mesh that is not there": (
+        lambda s: s.update(obstacles=[{"name": "a", "position_m": [0, 0, 0], "mesh": "a.stl"}]),
+        UsageError,
+        r"obstacle a: wanted a readable mesh, got .*a\.stl",
+    ),
+    "an obstacle with a task in it": (
+        lambda s: s.update(obstacles=[{"name": "wall", "position_m": [0, -0.6, 1.2], "sphere_m": 0.3}]),
+        GoalUnreachableError,
+        "m deep in wall; move",
+    ),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG_PANDA)
+def test_wrong_scenes_of_other_robots_are_refused(wrong: str, tmp_path: Path) -> None:
+    change, error, words = WRONG_PANDA[wrong]
+    with pytest.raises(error, match=words):
+        load_scene(panda_scene(tmp_path, change))
