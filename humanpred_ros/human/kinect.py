@@ -103,6 +103,8 @@ class KinectPostures:
         self, where: NDArray[np.bool_], dofs: Sequence[str], reason: str, value: FloatArray | None = None
     ) -> None:
         """Leave DoFs undetermined in the frames `where` (T,); `{...}` in the reason is the frame's `value` (T,)."""
+        if not where.any():
+            return
         for frame in np.flatnonzero(where):
             for dof in dofs:
                 self.reasons[frame].setdefault(dof, reason if value is None else reason.format(value[frame]))
