@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from humanpred_ros.errors import UsageError
 from humanpred_ros.plugins import SET, given_settings
 from humanpred_ros.resources import locate
 from humanpred_ros.settings import LARGEST_SEED, Settings, setting
@@ -30,6 +31,7 @@ class TrainSettings(Settings):
     classifier: tuple[str, ...] = setting(("forest", "gmm"), "classifiers to train, by name; own ones, too")
     hold_out: int = setting(0, "first motions of each class not trained on", low=0)
     set: tuple[str, ...] = setting((), SET)
+    leave_out: tuple[str, ...] = setting((), "classes not trained on")
     seed: int = setting(0, "of training", low=0, high=LARGEST_SEED)
     frame_period: float = setting(_FRAME_PERIOD_S, "time between frames where a CSV has no times", unit="s", low=1e-6)
 
@@ -37,10 +39,19 @@ class TrainSettings(Settings):
 def train(settings: TrainSettings, console: Console) -> int:
     """Learn a model from a motion library."""
     from humanpred_ros.human.model import human_with
+    from humanpred_ros.motion.commands import require_units, told
     from humanpred_ros.motion.library_io import load_library
     from humanpred_ros.recognition.training import classifier_settings, save_model, train_model
 
     library = load_library(locate(settings.library, "bags"), frame_period_s=settings.frame_period)
+    require_units(library, settings.library)
+    for said in told(library):
+        console.print(f"{settings.library}: {said}", highlight=False, soft_wrap=True)
+    if unknown := set(settings.leave_out) - {str(label) for label in library.labels}:
+        raise UsageError(f"--leave-out: wanted some of the classes {', '.join(map(str, library.labels))}, got "
+                         f"{', '.join(sorted(unknown))}")  # fmt: skip
+    if settings.leave_out:
+        library = library.select(lambda motion: str(motion.label) not in settings.leave_out)
     if settings.hold_out:
         held_out = {m.name for label in library.labels for m in library.of_class(label)[: settings.hold_out]}
         library = library.select(lambda motion: motion.name not in held_out)

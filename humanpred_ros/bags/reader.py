@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain, pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import IO, Any, NamedTuple
@@ -89,8 +90,13 @@ class BagReader:
         topics: dict[str, TopicInfo] = {}
         starts: list[int] = []
         ends: list[int] = []
+        self._spans: dict[Path, tuple[int, int]] = {}
         for file in self.files:
-            for topic in self._topics_of(file, starts, ends):
+            before_file = len(starts)
+            found = self._topics_of(file, starts, ends)
+            if starts[before_file:]:
+                self._spans[file] = min(starts[before_file:]), max(ends[before_file:])
+            for topic in found:
                 before = topics.get(topic.name)
                 topics[topic.name] = replace(topic, count=topic.count + (before.count if before else 0))
         self.topics: Mapping[str, TopicInfo] = MappingProxyType(topics)
@@ -160,24 +166,30 @@ class BagReader:
             yield message.log_time_ns, self.decode(message)
 
     def _messages(self, wanted: list[str] | None) -> Iterator[BagMessage]:
-        for file in self.files:
-            summary = self._frames[file].summary
-            with open_plain(file, BagError) as stream:
-                try:
-                    indexed = summary is not None and summary.chunk_indexes
-                    records = _indexed(stream, summary, wanted) if indexed else _linear(stream)
-                    for schema, channel, message in records:
-                        if wanted is None or channel.topic in wanted:
-                            if max(message.log_time, message.publish_time) > LAST_TIME_NS:
-                                raise ValueError(f"a time of {message.log_time} ns does not fit 64 bits")
-                            msgtype = "" if schema is None else schema.name
-                            yield BagMessage(
-                                channel.topic, msgtype, message.log_time, message.publish_time, message.data
-                            )
-                except MCAP_TROUBLE as trouble:
-                    raise BagError(
-                        f"{file}: wanted intact data, got damage ({spell(trouble)}); {SALVAGE_HINT}"
-                    ) from trouble
+        of_files = [self._messages_of(file, wanted) for file in self.files]
+        # Files follow each other, unless a recorder wrote late messages into the next one.
+        spans = [self._spans[file] for file in self.files if file in self._spans]
+        if all(before[1] <= after[0] for before, after in pairwise(spans)):
+            yield from chain.from_iterable(of_files)
+        else:
+            yield from heapq.merge(*of_files, key=lambda message: message.log_time_ns)
+
+    def _messages_of(self, file: Path, wanted: list[str] | None) -> Iterator[BagMessage]:
+        summary = self._frames[file].summary
+        with open_plain(file, BagError) as stream:
+            try:
+                indexed = summary is not None and summary.chunk_indexes
+                records = _indexed(stream, summary, wanted) if indexed else _linear(stream)
+                for schema, channel, message in records:
+                    if wanted is None or channel.topic in wanted:
+                        if max(message.log_time, message.publish_time) > LAST_TIME_NS:
+                            raise ValueError(f"a time of {message.log_time} ns does not fit 64 bits")
+                        msgtype = "" if schema is None else schema.name
+                        yield BagMessage(channel.topic, msgtype, message.log_time, message.publish_time, message.data)
+            except MCAP_TROUBLE as trouble:
+                raise BagError(
+                    f"{file}: wanted intact data, got damage ({spell(trouble)}); {SALVAGE_HINT}"
+                ) from trouble
 
     def _topics_of(self, file: Path, starts: list[int], ends: list[int]) -> list[TopicInfo]:
         summary = self._frames[file].summary

@@ -12,16 +12,23 @@ import numpy as np
 from rich.console import Console
 
 from humanpred_ros.errors import LibraryFormatError, UsageError
-from humanpred_ros.human.marker_skeleton import LONGEST_GAP_S
-from humanpred_ros.human.model import HumanModel
+from humanpred_ros.human.marker_skeleton import LONGEST_GAP_S, MOCAP23_DOFS
+from humanpred_ros.human.model import HumanModel, name_of_human
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.cleaning import clean_library, flag_library
+from humanpred_ros.motion.csv_files import UNITS
 from humanpred_ros.motion.library_io import DEFAULT_FRAME_PERIOD_S, load_library
 from humanpred_ros.motion.library_statistics import comparison_markdown
 from humanpred_ros.motion.marker_files import SUFFIXES, MarkerRecording, read_marker_file
 from humanpred_ros.motion.marker_import import MarkerReader, class_of, read_names
-from humanpred_ros.motion.motion import Motion, MotionLibrary, require_plain_name
-from humanpred_ros.motion.reach_recordings import ACTIVE, PASSIVE, read_reach_recording, write_reach_recording
+from humanpred_ros.motion.motion import Motion, MotionLibrary, is_angle, require_plain_name
+from humanpred_ros.motion.reach_recordings import (
+    ACTIVE,
+    PASSIVE,
+    check_units,
+    read_reach_recording,
+    write_reach_recording,
+)
 from humanpred_ros.motion.synthetic import ReachGeneratorConfig, generate_library
 from humanpred_ros.settings import LARGEST_SEED, Settings, setting, setting_of
 
@@ -43,6 +50,9 @@ class ImportSettings(Settings):
     frame_period: float = setting(
         DEFAULT_FRAME_PERIOD_S, "time between frames where a CSV library has no times", unit="s", low=1e-6
     )
+    body: str | None = setting(None, "body to read of a bag that holds several; none: the only one, or body_0")
+    units: str = setting("m,rad", "of the source's lengths and angles, as mm,deg; of markers and points by themselves")
+    dry_run: bool = setting(False, "tell what would be written, and write nothing")
     markers: Path | None = setting(None, "YAML file that names the markers: the sources are marker recordings")
     name: str | None = setting(None, "with --markers: name of the library; none: that of the YAML file")
     longest_gap: float = setting(LONGEST_GAP_S, "gaps up to this long are interpolated in time", unit="s", low=0.0)
@@ -69,11 +79,20 @@ def import_libraries(settings: ImportSettings, console: Console) -> int:
     exchanged, and lengths in another unit, are errors. Unlabelled recordings (`labels: shape`) are labelled by the
     shapes of the segments in the first frame and by closest distance from then on.
 
+    What was recognised, assumed, converted and left out is told, with `--dry-run` before anything is written. Values
+    that cannot be metres and radians are refused with the factor that would make them so (`--units mm,deg`).
+
     Nothing is written unless every source can be read, and nothing that exists is replaced without `--overwrite`.
     """
     if settings.markers is not None:
         return _import_markers(settings, settings.markers, console)
-    libraries = [(source, load_library(source, frame_period_s=settings.frame_period)) for source in settings.source]
+    factors = _factors(settings.units)
+    libraries = [
+        (source, _in_si(load_library(source, frame_period_s=settings.frame_period, body=settings.body), *factors))
+        for source in settings.source
+    ]
+    for source, library in libraries:
+        require_units(library, source)
     _require_different({source: library.name for source, library in libraries})
     for source, library in libraries:
         _write(source, library, settings, console)
@@ -89,9 +108,65 @@ def _write(source: str, library: MotionLibrary, settings: ImportSettings, consol
             console.print(f"  {flag}", markup=False, highlight=False)
     if settings.clean or settings.drop:
         library = clean_library(library, drop=settings.drop)
+    for said in told(library):
+        console.print(f"{source}: {said}", markup=False, highlight=False, soft_wrap=True)
     folder = settings.out / require_plain_name(source, library.name)
+    if settings.dry_run:
+        human, rate_hz = name_of_human(library.dof_names), 1.0 / np.median([motion.period_s for motion in library])
+        console.print(
+            f"{source} would become {folder}: {len(library)} motions of {len(library.labels)} classes, "
+            f"{human}, {rate_hz:.3g} frames a second",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
+        return
     bag = write_library_bag(library, folder, overwrite=settings.overwrite)
     console.print(f"{source} -> {bag}: {len(library)} motions", markup=False, highlight=False, soft_wrap=True)
+
+
+def told(library: MotionLibrary) -> list[str]:
+    """Return what a user must know of how a library was read: what was left out, and what was assumed."""
+    said = [f"left out: {library.provenance['left out']}"] if "left out" in library.provenance else []
+    if "columns not read" in library.provenance:
+        said.append(f"columns not read: {library.provenance['columns not read']}")
+    stamps = library.provenance.get("stamps", "")
+    if stamps.startswith("assumed") or "; some files assumed" in stamps:
+        said.append(f"stamps {stamps} (--frame-period)")
+    elif stamps.startswith("log times"):
+        said.append(f"stamps are {stamps}")
+    return said
+
+
+def require_units(library: MotionLibrary, source: str) -> None:
+    """Refuse a library whose numbers cannot be metres, radians and seconds.
+
+    Raises:
+        MotionError: with the factor that would make them so.
+    """
+    bones = len(library.dof_names) == len(MOCAP23_DOFS)
+    for motion in library:
+        check_units(f"{source}: motion {motion.name}", motion.t_s, motion.q, library.dof_names, bones)
+
+
+def _factors(units: str) -> tuple[float, float]:
+    """Return what the units of lengths and angles are of metres and radians."""
+    lengths, angles = ("m", "cm", "mm"), ("rad", "deg")
+    given = [word.strip() for word in units.split(",") if word.strip()]
+    strange = [word for word in given if word not in (*lengths, *angles)]
+    if strange or sum(word in lengths for word in given) > 1 or sum(word in angles for word in given) > 1:
+        raise UsageError(f"--units: wanted one of {', '.join(lengths)} and one of {', '.join(angles)}, got {units!r}")
+    length, angle = (next((UNITS[word] for word in given if word in which), 1.0) for which in (lengths, angles))
+    return length, angle
+
+
+def _in_si(library: MotionLibrary, length: float, angle: float) -> MotionLibrary:
+    if length == angle == 1.0:
+        return library
+    factor = np.array([angle if is_angle(name) else length for name in library.dof_names])
+    motions = tuple(replace(m, q=m.q * factor, points_m=None) for m in library)
+    provenance = {**library.provenance, "converted": f"lengths by {length:g}, angles by {angle:g}"}
+    return replace(library, motions=motions, provenance=provenance)
 
 
 def _import_markers(settings: ImportSettings, names_file: Path, console: Console) -> int:

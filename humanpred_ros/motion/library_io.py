@@ -35,9 +35,13 @@ _FRAME_COLUMNS = ("frame", "raw_frame")
 
 
 def load_library(
-    path: str | Path, *, frame_period_s: float = DEFAULT_FRAME_PERIOD_S, points: bool = True
+    path: str | Path,
+    *,
+    frame_period_s: float = DEFAULT_FRAME_PERIOD_S,
+    points: bool = True,
+    body: str | None = None,
 ) -> MotionLibrary:
-    """Return all motions of a folder of CSV files, a rosbag2 directory, or an .mcap file; drops nothing.
+    """Return all motions of a folder of CSV files, a rosbag2 directory, or an .mcap file.
 
     Class files hold the 12 DoFs of a Kinect's human or the 23 of motion capture's; their columns say which. Of a folder
     of two-person recordings (`reach_recordings`) the library is what the reaching people did, without classes.
@@ -46,6 +50,7 @@ def load_library(
         path: the library.
         frame_period_s: seconds between frames where a CSV library has no stamps; bags have them.
         points: whether the skeleton points that bags may hold are wanted, too; without them reading takes half as long.
+        body: which tracked body of a bag with several.
 
     Raises:
         LibraryFormatError: nothing of that name, nothing of these kinds, or unusable CSV.
@@ -57,11 +62,11 @@ def load_library(
         raise LibraryFormatError(f"{path}: wanted a motion library (CSV folder or bag), there is nothing of that name")
     if path.is_dir() and (files := class_files(path)):
         human = HumanModel.mocap23()
-        if _columns(next(iter(files.values()))).issuperset(human.dof_names):
+        if _columns(next(iter(files.values()))).issuperset(name.casefold() for name in human.dof_names):
             return read_csv_library(path, frame_period_s=frame_period_s, dof_names=human.dof_names, frame_id=FRAME_ID)
         return read_csv_library(path, frame_period_s=frame_period_s)
     if path.suffix in (".mcap", ".db3") or (path / "metadata.yaml").exists() or any(path.glob("*.mcap")):
-        return read_library_bag(path, points=points)
+        return read_library_bag(path, points=points, body=body)
     if any(path.glob(f"*_{ACTIVE}.csv")):
         return _reaching_people(path)
     raise LibraryFormatError(
@@ -71,9 +76,9 @@ def load_library(
 
 
 def _columns(path: Path) -> set[str]:
-    """Return the titles in a file's first line; what is wrong with it is for the reader to say."""
+    """Return the titles in a file's first line, in lower case, without units; the reader says what is wrong with it."""
     try:
-        return set(read_rows(path, most=1)[0][1])
+        return {re.split(r"[\[(]", title)[0].strip().casefold() for title in read_rows(path, most=1)[0][1]}
     except LibraryFormatError:
         return set()
 
@@ -144,8 +149,10 @@ def read_csv_library(
         )
     motions: list[Motion] = []
     stamps: set[str] = set()
+    not_read: set[str] = set()
     for label, path in files.items():
         table = _read_class_file(path, tuple(dof_names))
+        not_read.update(table.not_read)
         stamps.add("recorded" if "t_s" in table.columns else f"assumed: one frame every {frame_period_s:.9g} s")
         q = table.rows[:, [table.columns.index(name) for name in dof_names]]
         for index, rows in _trajectories(table):
@@ -153,13 +160,15 @@ def read_csv_library(
             motions.append(Motion(t_s, q[rows], tuple(dof_names), label, index, frame_id))
     name = folder.resolve().name
     provenance = {"format": "csv", "source": name, "stamps": "; some files ".join(sorted(stamps, reverse=True))}
+    if not_read:
+        provenance["columns not read"] = ", ".join(sorted(not_read))
     return MotionLibrary(name, tuple(motions), provenance)
 
 
 def _read_class_file(path: Path, dof_names: tuple[str, ...]) -> Table:
     if path.name.lower().startswith("compound"):
         return read_table(path, ("frame", *dof_names), headless=True)
-    table = read_table(path, ("traj_id", *dof_names), optional=(*_FRAME_COLUMNS, "t_s"))
+    table = read_table(path, ("traj_id", *dof_names), optional=(*_FRAME_COLUMNS, "t_s"), further=True)
     if not set(_FRAME_COLUMNS) & set(table.columns):
         raise LibraryFormatError(f"{path}: columns missing: frame (or raw_frame); number the frames of each motion")
     return table

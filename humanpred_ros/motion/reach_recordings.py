@@ -254,8 +254,13 @@ def _gaps(motion: Motion) -> list[str]:
     return [f"{1e3 * step[k]:.0f} ms without a frame before frame {int(k) + 1}" for k in late]
 
 
-def check_units(where: str, t_s: FloatArray, q: FloatArray, dof_names: Sequence[str]) -> None:
+def check_units(where: str, t_s: FloatArray, q: FloatArray, dof_names: Sequence[str], bones: bool = True) -> None:
     """Refuse stamps (T,) and postures (T, D) that are not in seconds, metres and radians.
+
+    Args:
+        where: for the message.
+        t_s, q, dof_names: of the motion.
+        bones: DoFs of the 23-DoF human that end in Trans are lengths of bones.
 
     Raises:
         MotionError: with the first DoF that cannot be so.
@@ -271,16 +276,20 @@ def check_units(where: str, t_s: FloatArray, q: FloatArray, dof_names: Sequence[
         if is_angle(name):
             if value > _MOST_RAD:
                 raise MotionError(
-                    f"{where}: wanted angles in radians, got {value:g} for {name}; convert them, they look like degrees"
+                    f"{where}: wanted angles in radians, got {value:g} for {name}; convert them, they look like "
+                    "degrees: a factor of 0.0174533 makes them so (import: --units deg)"
                 )
             continue
         if value > _MOST_M:
+            largest = max(x for x, other in zip(most, dof_names, strict=True) if not is_angle(other))
+            unit, factor = ("mm", "0.001") if largest > 500.0 else ("cm", "0.01")
             raise MotionError(
                 f"{where}: wanted lengths in metres, got {value:g} for {name}; convert them, they look like "
-                f"{'millimetres' if value > 500.0 else 'centimetres'}"
+                f"{'millimetres' if unit == 'mm' else 'centimetres'}: a factor of {factor} makes them so (import: "
+                f"--units {unit})"
             )
         length = float(np.median(column))
-        if name.endswith("Trans") and not _BONE_M[0] <= length <= _BONE_M[1]:
+        if bones and name.endswith("Trans") and not _BONE_M[0] <= length <= _BONE_M[1]:
             raise MotionError(
                 f"{where}: wanted the bone {name} between {_BONE_M[0]} and {_BONE_M[1]} m, got {length:g} as the "
                 "median; check its unit and sign"

@@ -173,7 +173,7 @@ def check_trainable(library: MotionLibrary) -> None:
         if len(motions) < 2:
             raise LibraryFormatError(
                 f"library {library.name}: wanted at least two motions per class, class {label} has only "
-                f"{motions[0].name}; record more or leave the class out"
+                f"{motions[0].name}; record more or leave the class out (--leave-out)"
             )
         if not any(np.ptp(motion.q, axis=0).any() for motion in motions):
             raise LibraryFormatError(

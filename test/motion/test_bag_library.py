@@ -160,9 +160,9 @@ def test_missing_frames_are_noticed(tmp_path: Path) -> None:
             bag.write_message(MOTION, base, ros.string(motion_text(reach(0, index, n=4))))
             for k in range(n):
                 bag.write_message(JOINTS, base + k, ros.joint_state(base + k, ("a",), (0.0,)))
-    with pytest.raises(BagError, match=r"motion 0/1: wanted 4 frames as announced, got 3"):
-        read_library_bag(tmp_path / "cut")
-    assert [m.name for m in read_library_bag(tmp_path / "cut", incomplete="drop")] == ["0/0"]
+    library = read_library_bag(tmp_path / "cut")
+    assert [m.name for m in library] == ["0/0"]
+    assert "motion 0/1: wanted 4 frames as announced, got 3" in library.provenance["left out"]
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", "3", '{"label": "x", "index": 0, "n_frames": 2}'])
@@ -178,7 +178,7 @@ def test_postures_that_contradict_each_other_are_bag_errors(tmp_path: Path) -> N
     with BagWriter(tmp_path / "names") as bag:
         for k, name in enumerate("ab"):
             bag.write_message(JOINTS, k, ros.joint_state(k, (name,), (0.0,)))
-    with pytest.raises(BagError, match="throughout a motion"):
+    with pytest.raises(BagError, match="other joints"):
         read_library_bag(tmp_path / "names")
 
 

@@ -194,10 +194,10 @@ def changed(line: int, new: str | None) -> list[str]:
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        (changed(1, HEADER.replace("TorsoX", "TorsoQ")), r"class_0\.csv:1: columns unknown: TorsoQ"),
+        (changed(1, HEADER.replace("TorsoX", "TorsoQ")), r"class_0\.csv:1: columns missing: TorsoX"),
         (changed(1, HEADER.replace(",TorsoX", "")), r"class_0\.csv:1: columns missing: TorsoX"),
         (changed(1, HEADER + ",TorsoX"), r"class_0\.csv:1: columns twice: TorsoX"),
-        (changed(1, HEADER.replace("traj_id", "index")), r"class_0\.csv:1: columns unknown: index"),
+        (changed(1, HEADER.replace("traj_id", "index")), r"class_0\.csv:1: columns missing: traj_id"),
         (changed(3, "0,1," + ROW.replace("0.5", "nan", 1)), r"class_0\.csv:3: column PelvisTransX: .*nan"),
         (changed(4, "0,2," + ROW[:-3] + "-inf"), r"class_0\.csv:4: column rElbowZ: .*-inf"),
         (changed(3, "0,1," + ROW.replace("0.5", "wide", 1)), r"class_0\.csv:3: column PelvisTransX: .*'wide'"),
