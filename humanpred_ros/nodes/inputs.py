@@ -104,17 +104,17 @@ class Input:
         self.came_s = came_s
         self._newest.append((came_s, latency_s))
 
-    def silent(self, now_s: float) -> bool:
-        """Return whether messages came, but none for longer than is allowed."""
-        return self.came_s is not None and now_s - self.came_s > self.max_age_s
+    def silent(self, now_s: float, share: float = 1.0) -> bool:
+        """Return whether messages came, but none for longer than a share of the time that is allowed."""
+        return self.came_s is not None and now_s - self.came_s > share * self.max_age_s
 
-    def silence(self) -> str:
-        """Return what is waited for, in words that stay the same while the silence lasts."""
+    def silence(self, share: float = 1.0) -> str:
+        """Return what is waited for, in words that stay the same while the silence lasts; `share` as for `silent`."""
         n_publishers = self.publishers()
         if not n_publishers:
             return f"{self.topic}: nobody publishes it"
         whose = "its publisher is" if n_publishers == 1 else f"its {n_publishers} publishers are"
-        return f"{self.topic}: {whose} there, but nothing has arrived for longer than {self.max_age_s:g} s"
+        return f"{self.topic}: {whose} there, but nothing has arrived for longer than {share * self.max_age_s:g} s"
 
     def facts(self, now_s: float) -> dict[str, str]:
         """Return age, rate, and median and largest latency."""

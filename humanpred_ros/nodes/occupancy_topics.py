@@ -28,6 +28,7 @@ from humanpred_ros.nodes.inputs import Input
 
 #: How often it is looked whether somebody publishes the compact form.
 _LOOK_PERIOD_S = 0.2
+_SILENT_SHARE = 0.5
 #: Type of each form by its topic.
 FORMS: dict[str, Any] = {topics.COMPACT_OCCUPANCY: CompressedImage, topics.OCCUPANCY: PointCloud2}
 
@@ -145,9 +146,10 @@ class OccupancyInput:
 
     def silence(self) -> str:
         """Return why nothing comes, in either form; empty while something comes."""
-        silent = [heard for heard in self.inputs if heard.silent(time.monotonic())]
+        # What is known of people is older than the last message: when it is too old, the silence is not yet so long.
+        silent = [heard for heard in self.inputs if heard.silent(time.monotonic(), _SILENT_SHARE)]
         matched = [heard for heard in silent if heard.publishers()] or silent
-        return matched[0].silence() if silent and len(silent) == len(self.inputs) else ""
+        return matched[0].silence(_SILENT_SHARE) if silent and len(silent) == len(self.inputs) else ""
 
     def _listen(self, topic: str) -> Subscription:
         def on_bytes(data: bytes, info: Any) -> bool | None:

@@ -29,6 +29,7 @@ def test_silence_names_whether_somebody_publishes() -> None:
     assert "nobody publishes" in heard.silence()
     heard.publishers = lambda: 1
     assert "its publisher is there, but nothing has arrived" in heard.silence()
+    assert heard.silence(0.5).endswith(f"for longer than {0.5 * heard.max_age_s:g} s")
 
 
 def come(heard: Input, begin_s: float, end_s: float, clock_s: float, way_s: float = 0.02) -> None:
