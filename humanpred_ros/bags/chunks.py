@@ -18,7 +18,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Message, Metadata, Schema
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
 
 MAGIC = b"\x89MCAP0\r\n"
 #: Opcode and length in front of every record's content.
@@ -163,7 +163,9 @@ def walk(data: mmap.mmap) -> Iterator[Any]:
             if opcode == Opcode.CHUNK:
                 sure = position + 1
                 chunk = Chunk.at(data, position)
-                yield from inner_records(chunk.content(budget))
+                for record in inner_records(chunk.content(budget)):
+                    record.unguarded = not chunk.crc
+                    yield record
                 if not chunk.consistent or chunk.cut_off:
                     raise ValueError("the file ends inside it" if chunk.consistent else "its length is wrong")
                 sure = end
@@ -172,7 +174,9 @@ def walk(data: mmap.mmap) -> Iterator[Any]:
             elif not (Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _PRIVATE_OPCODES):
                 raise ValueError(f"there is no kind {opcode}")
             else:
-                yield from _record(data[position + RECORD_HEADER.size : end], opcode)
+                for record in _record(data[position + RECORD_HEADER.size : end], opcode):
+                    record.unguarded = True  # no checksum is over it
+                    yield record
             position = end
         except MCAP_TROUBLE as trouble:
             what = "chunk" if opcode == Opcode.CHUNK else "record"
@@ -201,6 +205,8 @@ def _record(body: bytes, opcode: int) -> Iterator[Any]:
         yield Channel.read(stream)
     elif opcode == Opcode.METADATA:
         yield Metadata.read(stream)
+    elif opcode == Opcode.ATTACHMENT:
+        yield Attachment.read(stream)
 
 
 def _next_chunk(data: mmap.mmap, position: int) -> int:

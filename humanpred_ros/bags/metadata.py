@@ -107,7 +107,7 @@ def read_metadata(path: Path) -> tuple[tuple[str, ...], dict[str, int]]:
     try:
         content = read_yaml(path, BagError)
         information = content["rosbag2_bagfile_information"]
-        storage = str(information["storage_identifier"])
+        storage = str(information.get("storage_identifier") or "")
         mode = str(information.get("compression_mode") or "").lower()
         # What whole-file paths lead to (rosbag2 wrote some) is beside metadata.yaml, nowhere else.
         files = tuple(str(name).rpartition("/")[2] for name in information["relative_file_paths"])
@@ -120,10 +120,16 @@ def read_metadata(path: Path) -> tuple[tuple[str, ...], dict[str, int]]:
             f"{path}: wanted rosbag2's metadata, got something else ({type(trouble).__name__}: {trouble}); "
             "rebuild it with: humanpred bag salvage"
         ) from trouble
+    if not storage and files and all(name.lower().endswith(".mcap") for name in files):
+        storage = "mcap"  # `ros2 bag reindex` leaves it empty
     if storage != "mcap":
-        raise BagError(f"{path.parent}: wanted mcap storage, got {storage}; convert it with: ros2 bag convert")
+        raise BagError(
+            f"{path.parent}: wanted mcap storage, got {storage or 'none'}; rebuild it with: humanpred bag salvage"
+        )
     if mode not in ("", "none"):
-        raise BagError(f"{path.parent}: wanted no compression around the file, got mode {mode}; use ros2 bag convert")
+        raise BagError(
+            f"{path.parent}: wanted no compression around the file, got mode {mode}; import and salvage read it"
+        )
     return files, counts
 
 

@@ -29,8 +29,9 @@ from humanpred_ros.bags.chunks import (
     spell,
     walk,
 )
+from humanpred_ros.bags.foreign import as_mcap
 from humanpred_ros.bags.messages import decode
-from humanpred_ros.bags.metadata import TopicInfo, qos_from, read_metadata
+from humanpred_ros.bags.metadata import DEFAULT_QOS, TopicInfo, qos_from, read_metadata
 from humanpred_ros.bags.writer import LAST_TIME_NS
 from humanpred_ros.errors import BagError
 from humanpred_ros.files import file_inside, open_plain
@@ -61,7 +62,7 @@ class BagMessage(NamedTuple):
 
 
 class BagReader:
-    """Reads a rosbag2 directory (mcap storage, also split into several files) or a single .mcap file.
+    """Reads a rosbag2 directory (also split into several files), an .mcap file, or a bag of another form (`foreign`).
 
     Opening checks that the files are complete and, where they carry checksums over all their data (ours
     do), that these are right; reading checks every chunk's. No file stays open between calls.
@@ -340,11 +341,21 @@ def _crc_of(stream: IO[bytes], length: int) -> int:
     return crc
 
 
+def qos_trouble(channel: Any) -> str:
+    """Return that the profiles of service of an mcap channel cannot be read; empty if they can."""
+    try:
+        qos_from(channel.metadata.get("offered_qos_profiles", ""))
+    except BagError:
+        return f"topic {channel.topic}: its quality of service cannot be read, the default is taken"
+    return ""
+
+
 def topic_of(channel: Any, schema: Any, count: int = 0) -> TopicInfo:
-    """Return the topic of an mcap channel. Raises BagError for profiles of service that cannot be parsed."""
+    """Return the topic of an mcap channel; profiles of service that cannot be read are the default."""
     qos, type_hash = (channel.metadata.get(key, "") for key in ("offered_qos_profiles", "topic_type_hash"))
     msgtype = "" if schema is None else schema.name
-    return TopicInfo(channel.topic, msgtype, count, channel.message_encoding, qos_from(qos), type_hash)
+    profiles = (DEFAULT_QOS,) if qos_trouble(channel) else qos_from(qos)
+    return TopicInfo(channel.topic, msgtype, count, channel.message_encoding, profiles, type_hash)
 
 
 def bag_files(path: Path) -> tuple[Path, ...]:
@@ -353,9 +364,10 @@ def bag_files(path: Path) -> tuple[Path, ...]:
     Raises:
         BagError: nothing there, no bag there, or a recording that was interrupted before metadata.yaml.
     """
+    converted = as_mcap(path)
+    if converted is not None:
+        return bag_files(converted)
     if path.is_file():
-        if path.suffix == ".db3":
-            raise BagError(f"{path}: wanted an .mcap file, got sqlite storage; convert it with: ros2 bag convert")
         return (path,)
     if not path.is_dir():
         raise BagError(f"{path}: wanted a bag (a rosbag2 directory or an .mcap file), there is nothing of that name")

@@ -16,12 +16,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mcap.records import Channel, Message, Metadata, Schema
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
 
 from humanpred_ros.bags.chunks import Damage, walk
-from humanpred_ros.bags.messages import TypeDefinition
+from humanpred_ros.bags.messages import TypeDefinition, decode, typestore
 from humanpred_ros.bags.metadata import read_metadata
-from humanpred_ros.bags.reader import bag_files, inspect_frame, topic_of
+from humanpred_ros.bags.reader import bag_files, inspect_frame, qos_trouble, topic_of
 from humanpred_ros.bags.writer import LAST_TIME_NS, BagWriter
 from humanpred_ros.errors import BagError
 from humanpred_ros.files import open_plain
@@ -67,6 +67,8 @@ def salvage_bag(path: str | Path, out: str | Path) -> BagReport:
         raise BagError(f"{out}: wanted a new folder for what is recovered, got the damaged bag itself; choose another")
     with BagWriter(out, staged=True) as bag:
         report = _examine(path, bag)
+        if not report.messages and report.ok:
+            raise BagError(f"{path}: the bag is intact and holds no messages: there is nothing to recover")
         if not report.messages:
             raise BagError(f"{path}: wanted at least one intact message, found none; the bag is lost")
     return report
@@ -75,19 +77,27 @@ def salvage_bag(path: str | Path, out: str | Path) -> BagReport:
 def _examine(path: Path, bag: BagWriter | None) -> BagReport:
     files, problems = _files(path)
     counts: Counter[str] = Counter()
+    types: dict[str, str] = {}
     copied: set[tuple[str, tuple[tuple[str, str], ...]]] = set()
+    unreadable: list[BagError] = []
     for file in files:
         schemas: dict[int, Schema] = {}
         channels: dict[int, Channel] = {}
         lost: Counter[int] = Counter()
+        spoilt: Counter[str] = Counter()
         impossible = 0
-        for record in scan_records(file):
+        for record in _records(file, unreadable):
             if isinstance(record, Damage):
                 problems.append(f"{file.name}, byte {record.offset}: {record.text}")
             elif isinstance(record, Schema):
                 schemas[record.id] = record
             elif isinstance(record, Channel):
+                if record.id not in channels and (trouble := qos_trouble(record)) and trouble not in problems:
+                    problems.append(trouble)
                 channels[record.id] = record
+            elif isinstance(record, Attachment):
+                if bag is not None:
+                    bag.add_attachment(record)
             elif isinstance(record, Metadata):
                 facts = (record.name, tuple(sorted(record.metadata.items())))
                 if bag is not None and record.name != _ROSBAG2_RECORD and facts not in copied:
@@ -101,24 +111,64 @@ def _examine(path: Path, bag: BagWriter | None) -> BagReport:
                 if channel is None:
                     lost[record.channel_id] += 1
                     continue
-                counts[channel.topic] += 1
+                schema = schemas.get(channel.schema_id)
+                topic = _topic_for(channel, "" if schema is None else schema.name, types, problems)
+                if getattr(record, "unguarded", False) and (why := _undecodable(channel, schema, record)):
+                    spoilt[f"{file.name}: messages on {topic} that do not decode ({why})"] += 1
+                    continue
+                counts[topic] += 1
                 if bag is not None:
-                    _copy(bag, channel, schemas.get(channel.schema_id), record)
+                    _copy(bag, topic, channel, schema, record)
+        problems += [f"{what}: {count}" for what, count in spoilt.items()]
         if impossible:
             problems.append(f"{file.name}: {impossible} messages with times that do not fit 64 bits")
         for channel_id, count in lost.items():
             problems.append(f"{file.name}: {count} messages of channel {channel_id}, whose description is lost")
+    if len(unreadable) == len(files) and unreadable:
+        raise unreadable[0]
+    problems += [str(trouble).split(";")[0] for trouble in unreadable]
     problems += _against_metadata(path, counts)
     return BagReport(path, dict(counts), tuple(problems))
 
 
-def _copy(bag: BagWriter, channel: Any, schema: Any, message: Any) -> None:
-    if channel.topic not in bag.topics:
+def _records(file: Path, unreadable: list[BagError]) -> Iterator[Any]:
+    """Yield the records of a file; one that is none is put aside, so that it does not cost the others."""
+    try:
+        yield from scan_records(file)
+    except BagError as trouble:
+        unreadable.append(trouble)
+
+
+def _topic_for(channel: Any, msgtype: str, types: dict[str, str], problems: list[str]) -> str:
+    """Return the topic's name; messages of another type than the first are told, and get a topic of their own."""
+    first = types.setdefault(channel.topic, msgtype)
+    if msgtype == first:
+        return str(channel.topic)
+    other = f"{channel.topic}/as_{msgtype.replace('/', '_')}"
+    problem = f"topic {channel.topic}: wanted one type, got {first} and {msgtype}; the latter is taken as {other}"
+    if problem not in problems:
+        problems.append(problem)
+    return other
+
+
+def _undecodable(channel: Any, schema: Any, message: Any) -> str:
+    """Return why a message that no checksum guards does not decode; empty if it does, or its type is not known."""
+    if channel.message_encoding != "cdr" or schema is None or schema.name not in typestore().fielddefs:
+        return ""
+    try:
+        decode(message.data, schema.name)
+    except BagError as trouble:
+        return str(trouble)[:100]
+    return ""
+
+
+def _copy(bag: BagWriter, name: str, channel: Any, schema: Any, message: Any) -> None:
+    if name not in bag.topics:
         text, encoding = ("", "") if schema is None else (schema.data.decode("utf-8", "replace"), schema.encoding)
         topic = topic_of(channel, schema)
         definition = TypeDefinition(text, encoding, topic.type_hash)
-        bag.add_topic(topic.name, topic.msgtype, qos=topic.qos, definition=definition, encoding=topic.encoding)
-    bag.write(channel.topic, message.log_time, message.data, message.publish_time)
+        bag.add_topic(name, topic.msgtype, qos=topic.qos, definition=definition, encoding=topic.encoding)
+    bag.write(name, message.log_time, message.data, message.publish_time)
 
 
 def _files(path: Path) -> tuple[list[Path], list[str]]:

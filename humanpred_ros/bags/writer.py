@@ -209,6 +209,13 @@ class BagWriter:
             self._mcap.add_metadata(name, texts)
             self._custom.update({f"{name}.{key}": value for key, value in texts.items()})
 
+    def add_attachment(self, attachment: Any) -> None:
+        """Write an MCAP attachment (a file inside the file), given as mcap's record."""
+        with self._writing():
+            self._mcap.add_attachment(
+                attachment.create_time, attachment.log_time, attachment.name, attachment.media_type, attachment.data
+            )
+
     def flush(self) -> None:
         """Close the chunk and hand it to the operating system; for recorders, on a timer of their own."""
         with self._writing():

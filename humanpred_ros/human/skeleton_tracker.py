@@ -47,6 +47,8 @@ _ARM = "rShoulder", "rArm", "rElbow"
 _ROOM = VoxelGrid((-50.0, -50.0, -20.0), 1.0, (100, 100, 40))
 #: A person who is back under another id was last seen so near, m, walks so fast, m/s, and was away so long at most, s.
 _NEAR_M, _WALK_M_S, _AWAY_S = 0.6, 1.5, 5.0
+#: Begins the ids of bodies that a tracker only lists: they are told by where they stand.
+NO_ID = "#"
 #: A body that nobody has had for so long may become another person, s.
 _FREE_S = 1.0
 
@@ -341,12 +343,13 @@ class TrackedPeople:
 
     def _name(self, theirs: str, where: FloatArray, t_s: float, present: set[str]) -> str:
         for name, person in self.people.items():
-            if person.theirs == theirs and t_s - person.seen_s <= _AWAY_S:
+            if person.theirs == theirs and t_s - person.seen_s <= _AWAY_S and not theirs.startswith(NO_ID):
                 return name
         best, best_m = "", np.inf
         for name, person in self.people.items():
             away_s = t_s - person.seen_s
-            if person.theirs in present or away_s > _AWAY_S:
+            told = person.theirs in present and not person.theirs.startswith(NO_ID)
+            if told or not 0.0 < away_s <= _AWAY_S:
                 continue
             off_m = float(np.linalg.norm(where[:2] - person.where_m[:2]))
             if off_m < min(best_m, _NEAR_M + _WALK_M_S * max(away_s, 0.0)):
@@ -356,7 +359,7 @@ class TrackedPeople:
         for k, tracker in enumerate(self._trackers):
             name = f"body_{k}"
             had = self.people.get(name)
-            if had is None or (had.theirs not in present and t_s - had.seen_s > _FREE_S):
+            if had is None or t_s - had.seen_s > _FREE_S:
                 tracker.forget()
                 self.people[name] = _Person(tracker, theirs, where, t_s)
                 return name

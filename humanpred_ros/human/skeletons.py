@@ -19,6 +19,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from humanpred_ros.errors import ArrayError, SettingsError, UsageError
 from humanpred_ros.files import read_yaml
@@ -175,6 +176,26 @@ def person_points(model: HumanModel, q: ArrayLike) -> FloatArray:
     """Return the points (..., 18, 3) of a person in postures (..., 12), in the order of `POINTS`."""
     places = model.forward(q)
     return np.stack([places[link] for link in LINKS.values()], axis=-2)
+
+
+def pose_of(text: str) -> FloatArray:
+    """Return the (4, 4) pose of 'x y z roll pitch yaw' in metres and radians; that of an empty text is none.
+
+    Raises:
+        UsageError: other than six numbers.
+    """
+    T = np.eye(4)
+    if not text.strip():
+        return T
+    try:
+        numbers = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 6 or not np.isfinite(numbers).all():
+        raise UsageError(f"tracker_pose: wanted six numbers, 'x y z roll pitch yaw' in m and rad, got {text!r}")
+    T[:3, :3] = Rotation.from_euler("xyz", numbers[3:]).as_matrix()
+    T[:3, 3] = numbers[:3]
+    return T
 
 
 def _several(chosen: str | Sequence[str]) -> tuple[str, ...]:

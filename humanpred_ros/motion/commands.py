@@ -14,6 +14,7 @@ from rich.console import Console
 from humanpred_ros.errors import LibraryFormatError, UsageError
 from humanpred_ros.human.marker_skeleton import LONGEST_GAP_S, MOCAP23_DOFS
 from humanpred_ros.human.model import HumanModel, name_of_human
+from humanpred_ros.human.skeletons import load_skeleton, pose_of
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.cleaning import clean_library, flag_library
 from humanpred_ros.motion.csv_files import UNITS
@@ -30,6 +31,7 @@ from humanpred_ros.motion.reach_recordings import (
     write_reach_recording,
 )
 from humanpred_ros.motion.synthetic import ReachGeneratorConfig, generate_library
+from humanpred_ros.motion.tracker_recordings import read_tracker_recording
 from humanpred_ros.settings import LARGEST_SEED, Settings, setting, setting_of
 
 
@@ -53,6 +55,11 @@ class ImportSettings(Settings):
     body: str | None = setting(None, "body to read of a bag that holds several; none: the only one, or body_0")
     units: str = setting("m,rad", "of the source's lengths and angles, as mm,deg; of markers and points by themselves")
     dry_run: bool = setting(False, "tell what would be written, and write nothing")
+    skeleton: str | None = setting(
+        None, "the sources are bags of a body tracker's points: a name in config/skeletons, or a YAML file"
+    )
+    topic: str | None = setting(None, "with --skeleton: of the points; none: the only one that holds points")
+    tracker_pose: str = setting("", "with --skeleton: 'x y z roll pitch yaw' of the tracker (m, rad), x forward, z up")
     markers: Path | None = setting(None, "YAML file that names the markers: the sources are marker recordings")
     name: str | None = setting(None, "with --markers: name of the library; none: that of the YAML file")
     longest_gap: float = setting(LONGEST_GAP_S, "gaps up to this long are interpolated in time", unit="s", low=0.0)
@@ -79,6 +86,9 @@ def import_libraries(settings: ImportSettings, console: Console) -> int:
     exchanged, and lengths in another unit, are errors. Unlabelled recordings (`labels: shape`) are labelled by the
     shapes of the segments in the first frame and by closest distance from then on.
 
+    With `--skeleton NAME` the sources are bags of a body tracker's points (MarkerArray, PoseArray, PointCloud2;
+    docs/trackers.md): each piece without a pause becomes a motion without a label.
+
     What was recognised, assumed, converted and left out is told, with `--dry-run` before anything is written. Values
     that cannot be metres and radians are refused with the factor that would make them so (`--units mm,deg`).
 
@@ -87,10 +97,7 @@ def import_libraries(settings: ImportSettings, console: Console) -> int:
     if settings.markers is not None:
         return _import_markers(settings, settings.markers, console)
     factors = _factors(settings.units)
-    libraries = [
-        (source, _in_si(load_library(source, frame_period_s=settings.frame_period, body=settings.body), *factors))
-        for source in settings.source
-    ]
+    libraries = [(source, _in_si(_read(settings, source), *factors)) for source in settings.source]
     for source, library in libraries:
         require_units(library, source)
     _require_different({source: library.name for source, library in libraries})
@@ -125,9 +132,21 @@ def _write(source: str, library: MotionLibrary, settings: ImportSettings, consol
     console.print(f"{source} -> {bag}: {len(library)} motions", markup=False, highlight=False, soft_wrap=True)
 
 
+def _read(settings: ImportSettings, source: str) -> MotionLibrary:
+    if settings.skeleton is None:
+        return load_library(source, frame_period_s=settings.frame_period, body=settings.body)
+    skeleton, pose = load_skeleton(settings.skeleton), pose_of(settings.tracker_pose)
+    if skeleton.centred and not settings.tracker_pose:
+        raise UsageError(f"--tracker-pose: wanted where the person stands: points of {settings.skeleton} are about the "
+                         "body's own middle")  # fmt: skip
+    return read_tracker_recording(source, skeleton, pose, settings.topic)
+
+
 def told(library: MotionLibrary) -> list[str]:
     """Return what a user must know of how a library was read: what was left out, and what was assumed."""
     said = [f"left out: {library.provenance['left out']}"] if "left out" in library.provenance else []
+    if "people" in library.provenance:
+        said.append(f"people: {library.provenance['people']}")
     if "columns not read" in library.provenance:
         said.append(f"columns not read: {library.provenance['columns not read']}")
     stamps = library.provenance.get("stamps", "")

@@ -31,6 +31,17 @@ from humanpred_ros.motion.reach_recordings import ACTIVE, FRAME_ID, load_reach_r
 DEFAULT_FRAME_PERIOD_S = 1.0 / 60.0
 
 _CLASS_FILE = re.compile(r"(class|compound)_([0-9]{1,6})\.csv", re.IGNORECASE)
+#: Files of bags, in lower case.
+BAG_SUFFIXES = (".mcap", ".db3", ".bag", ".mcap.zstd", ".db3.zstd")
+#: What is to be done with other files that people have, by suffix.
+_ADVICE = {
+    ".c3d": "this is C3D, recordings of markers: import it with --markers NAMES.yaml",
+    ".trc": "this is TRC, recordings of markers: import it with --markers NAMES.yaml",
+    ".bvh": "this is BVH, which is not read yet: export it as C3D, or joint positions to a bag (--skeleton)",
+    ".npz": "this is NumPy's, as AMASS publishes: it is not read; put joint positions into a bag (--skeleton)",
+    ".zip": "this is an archive: unpack it and name the folder in it",
+    ".csv": "this is a CSV file: name the folder it lies in; files are class_<k>.csv, a column for each DoF",
+}
 _FRAME_COLUMNS = ("frame", "raw_frame")
 
 
@@ -65,13 +76,16 @@ def load_library(
         if _columns(next(iter(files.values()))).issuperset(name.casefold() for name in human.dof_names):
             return read_csv_library(path, frame_period_s=frame_period_s, dof_names=human.dof_names, frame_id=FRAME_ID)
         return read_csv_library(path, frame_period_s=frame_period_s)
-    if path.suffix in (".mcap", ".db3") or (path / "metadata.yaml").exists() or any(path.glob("*.mcap")):
+    names = [path.name.lower()] if path.is_file() else [entry.name.lower() for entry in path.iterdir()]
+    if any(name == "metadata.yaml" or name.endswith(BAG_SUFFIXES) for name in names):
         return read_library_bag(path, points=points, body=body)
     if any(path.glob(f"*_{ACTIVE}.csv")):
         return _reaching_people(path)
+    kinds = {Path(name).suffix for name in names}
+    hint = next((f"; {advice}" for suffix, advice in _ADVICE.items() if suffix in kinds), "")
     raise LibraryFormatError(
-        f"{path}: wanted a folder with class_<k>.csv or <name>_{ACTIVE}.csv files, a rosbag2 directory, or an .mcap "
-        "file, got none of these"
+        f"{path}: wanted a folder with class_<k>.csv or <name>_{ACTIVE}.csv files, or a bag (folder, .mcap, .db3, "
+        f".bag), got none of these{hint}"
     )
 
 

@@ -11,18 +11,16 @@ from typing import Any
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
-from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Header, String
 from visualization_msgs.msg import MarkerArray
 
 from humanpred_ros import topics
 from humanpred_ros.errors import ArrayError, HumanPredError, UsageError
-from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.kinect import KinectSkeleton
 from humanpred_ros.human.model import TRACKER_FRAMES, HumanModel
 from humanpred_ros.human.skeleton_tracker import SkeletonTracker, TrackedPeople, TrackedPosture, TrackingSettings
-from humanpred_ros.human.skeletons import load_skeleton
+from humanpred_ros.human.skeletons import load_skeleton, pose_of
 from humanpred_ros.human.stamps import StampCheck, StampSettings
 from humanpred_ros.human.tracker_messages import READERS, Bodies, Ros4HriBody, SeenBodies, seen_bodies
 from humanpred_ros.nodes import conversions, qos
@@ -91,7 +89,7 @@ class SkeletonTrackerNode(GraphNode):
                 f"{settings.skeleton} are about the body's own middle"
             )
         self.scene = load_scene(settings.scene)
-        self.T_scene_camera = _pose_of(settings.tracker_pose)
+        self.T_scene_camera = pose_of(settings.tracker_pose)
         self.human = HumanModel.kinect12()
         warm = SkeletonTracker("openni15")
         for t_s in (0.0, 0.1):  # what is compiled, is compiled now
@@ -292,24 +290,6 @@ class SkeletonTrackerNode(GraphNode):
                 if names := getattr(posture, what):
                     facts[f"{body}/{what}"] = " ".join(names)
         return facts
-
-
-def _pose_of(text: str) -> FloatArray:
-    """Return the (4, 4) pose of 'x y z roll pitch yaw'; that of nothing is none."""
-    T = np.eye(4)
-    if not text.strip():
-        return T
-    try:
-        numbers = [float(word) for word in text.replace(",", " ").split()]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 6 or not np.isfinite(numbers).all():
-        raise UsageError(
-            f"parameter tracker_pose: wanted six numbers, 'x y z roll pitch yaw' in m and rad, got {text!r}"
-        )
-    T[:3, :3] = Rotation.from_euler("xyz", numbers[3:]).as_matrix()
-    T[:3, 3] = numbers[:3]
-    return T
 
 
 main = entry_point(SkeletonTrackerNode)

@@ -84,7 +84,7 @@ def test_what_is_not_a_bag_is_said_to_be_none(tmp_path: Path) -> None:
         with pytest.raises(BagError, match="wanted"):
             BagReader(tmp_path / name)
     (tmp_path / "old.db3").write_bytes(b"SQLite format 3\0")
-    with pytest.raises(BagError, match="ros2 bag convert"):
+    with pytest.raises(BagError, match="not a database"):
         BagReader(tmp_path / "old.db3")
 
 

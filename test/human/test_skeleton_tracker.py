@@ -180,6 +180,18 @@ def test_people_keep_their_names_when_ids_change_and_get_them_back() -> None:
     assert names(9.0, e=here[0] + (5.0, 0.0, 0.0)) == {"e": "body_0"}, "a name that is free"
 
 
+def test_bodies_that_are_only_listed_are_told_by_where_they_stand() -> None:
+    people = TrackedPeople("openni15")
+    shown = [PERSON[:, :15], PERSON[:, :15] + np.array([0.0, 2.0, 0.0])]
+    for k in range(10):
+        order = (0, 1) if k < 5 else (1, 0)  # the list is in another order
+        bodies = {f"#{place}": (shown[who][k], None) for place, who in enumerate(order)}
+        for name, posture in people.update(bodies, k / 30):
+            who = ("body_0", "body_1").index(name)
+            assert posture.q is not None, posture.refusal
+            np.testing.assert_allclose(posture.points_m, shown[who][k], atol=0.05)
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -11,8 +11,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 from paths import REPOSITORY
 
+from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.cli import main
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import MotionLibrary
@@ -45,6 +47,15 @@ def run(capsys: pytest.CaptureFixture[str], *words: str | Path) -> tuple[int, st
 
 
 IMPORTED = {
+    "01_reindexed_bag/empty_id": (6, ""),
+    "02_qos_with_few_keys": (6, ""),
+    "06_rosbag2_compression/each_message": (6, ""),
+    "06_rosbag2_compression/whole_file": (6, ""),
+    "06_rosbag2_compression/whole_file_no_metadata": (6, ""),
+    "07_other_storage/sqlite": (6, ""),
+    "07_other_storage/no_metadata": (6, ""),
+    "07_other_storage/lone.db3": (6, ""),
+    "07_other_storage/SESSION.MCAP": (6, ""),
     "11_header_stamps_zero/zero_stamps.mcap": (6, "log times: 540 frames have no stamp"),
     "12_stamps_repeat_or_step_back/twice.mcap": (6, "left out: 54 frames not later than those before"),
     "12_stamps_repeat_or_step_back/back.mcap": (6, "left out: 6 frames not later than those before"),
@@ -132,3 +143,51 @@ def test_two_sources_of_one_name_are_refused(made: Path, tmp_path: Path, capsys:
     assert status == 2
     assert re.search(r"P01.* and .*P02.*named reaches", said)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bag_is_saved_with_everything_or_what_is_left_is_told(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, said = run(capsys, "bag", "salvage", made / "02_qos_with_few_keys", "--out", tmp_path / "02")
+    assert (status, "quality of service cannot be read, the default is taken" in said) == (0, True)
+    status, said = run(capsys, "bag", "check", made / "03_last_file_empty")
+    assert (status, "recording_2.mcap: wanted an MCAP file, got 0 bytes" in said) == (1, True)
+    status, said = run(capsys, "bag", "salvage", made / "03_last_file_empty", "--out", tmp_path / "03")
+    assert status == 0
+    assert len(load_library(tmp_path / "03")) > 1
+    for name in ("with_attachment", "cut"):
+        run(capsys, "bag", "salvage", made / "04_attachment" / f"{name}.mcap", "--out", tmp_path / name)
+        with (tmp_path / name / f"{name}_0.mcap").open("rb") as stream:
+            assert [one.name for one in make_reader(stream).iter_attachments()], "the attachment is kept"
+    status, said = run(
+        capsys, "bag", "salvage", made / "05_topic_with_two_types" / "merged.mcap", "--out", tmp_path / "05"
+    )
+    assert "topic /status: wanted one type" in said
+    for topic in (bag := BagReader(tmp_path / "05")).topics:
+        for message in bag.messages([topic]):
+            bag.decode(message)
+    status, said = run(
+        capsys, "bag", "salvage", made / "06_rosbag2_compression" / "each_message", "--out", tmp_path / "06"
+    )
+    assert status == 0
+    assert len(load_library(tmp_path / "06")) == 6
+    status, said = run(capsys, "bag", "check", made / "08_spoilt_unchunked_file" / "fast_spoilt.mcap")
+    assert (status, "that do not decode" in said, "not all is well" in said) == (1, True, True)
+    assert run(capsys, "bag", "check", made / "08_spoilt_unchunked_file" / "fast.mcap")[0] == 0
+    for name in ("no_topics", "topics_only"):
+        status, said = run(capsys, "bag", "salvage", made / "09_bag_without_messages" / name, "--out", tmp_path / name)
+        assert (status, "intact and holds no messages" in said) == (2, True)
+
+
+def test_what_is_recognised_but_not_read_says_what_to_do(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = made / "26_what_people_bring"
+    for name, words in {
+        "../07_other_storage/kinetic.bag": "ROS 1 bag",
+        "walk.c3d": "C3D, recordings of markers: import it with --markers",
+        "02_01.bvh": "BVH", "bvh_folder": "BVH", "amass.npz": "NumPy", "library.zip": "unpack it",
+        "class_0.csv": "name the folder it lies in",
+    }.items():  # fmt: skip
+        status, said = run(capsys, "import", folder / name, "--out", tmp_path)
+        assert (status, words in said) == (2, True), said
