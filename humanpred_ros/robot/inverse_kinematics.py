@@ -125,6 +125,8 @@ _DAMPING = 1e-2
 _LEAST_DAMPING = 1e-12
 _LARGEST_STEP_RAD = 0.6
 _PULL = 0.3
+#: Where few are found, as of an arm that is nearly stretched, other seeds are tried, so many times at most.
+_ENOUGH, _ROUNDS = 8, 4
 
 
 class InverseKinematicsSettings(Settings):
@@ -173,7 +175,33 @@ def solve_tool_pose(
     start = checked("inverse kinematics: start", start, (arm.chain.n_joints,))
     lower, upper = arm.chain.lower + settings.limit_margin_rad, arm.chain.upper - settings.limit_margin_rad
     inside = target.tightened(2.0 * _CONVERGED)
-    q = _seeds(arm, start, lower, upper, settings)
+    solutions = np.empty((0, arm.chain.n_joints))
+    missing = np.full(2, np.inf)
+    for k in range(_ROUNDS):
+        q, error = _converged(arm, inside, start, (lower, upper), settings, k)
+        lengths = _missing(error)
+        missing = min(missing, lengths[int(np.argmin(np.linalg.norm(error, axis=1)))], key=np.linalg.norm)
+        reached = q[(lengths <= _CONVERGED).all(axis=1)]
+        solutions = np.concatenate([solutions, start + arm.difference(start, reached)])
+        solutions = solutions[np.argsort(arm.configuration_distance(start, solutions), kind="stable")]
+        solutions = spread(arm, solutions, settings.duplicate_distance)
+        if len(solutions) >= _ENOUGH:
+            break
+    missing_m, missing_rad = (0.0, 0.0) if len(solutions) else missing
+    return InverseKinematics(solutions, float(missing_m), float(missing_rad))
+
+
+def _converged(
+    arm: Arm,
+    inside: ToolPose,
+    start: FloatArray,
+    limits: tuple[FloatArray, FloatArray],
+    settings: InverseKinematicsSettings,
+    k: int,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the configurations (N, J) that the seeds of round `k` lead to, and the errors (N, 6) left."""
+    lower, upper = limits
+    q = _seeds(arm, start, lower, upper, settings, k)
     drawn = np.arange(len(q)) % 2 == 0
     error = np.full((len(q), 6), np.inf)
     active = np.arange(len(q))
@@ -187,14 +215,7 @@ def solve_tool_pose(
         if len(active) == 0 or iteration == settings.n_iterations:
             break
         q[active] = _stepped(arm, q[active], error[active], lower, upper)
-    missing = _missing(error)
-    reached = (missing <= _CONVERGED).all(axis=1)
-    if not reached.any():
-        best = int(np.argmin(np.linalg.norm(error, axis=1)))
-        return InverseKinematics(np.empty((0, arm.chain.n_joints)), float(missing[best, 0]), float(missing[best, 1]))
-    solutions = start + arm.difference(start, q[reached])
-    solutions = solutions[np.argsort(arm.configuration_distance(start, solutions), kind="stable")]
-    return InverseKinematics(spread(arm, solutions, settings.duplicate_distance), 0.0, 0.0)
+    return q, error
 
 
 def spread(arm: Arm, configurations: FloatArray, separation: float, most: int | None = None) -> FloatArray:
@@ -221,9 +242,9 @@ def _missing(error: FloatArray) -> FloatArray:
 
 
 def _seeds(
-    arm: Arm, start: FloatArray, lower: FloatArray, upper: FloatArray, settings: InverseKinematicsSettings
+    arm: Arm, start: FloatArray, lower: FloatArray, upper: FloatArray, settings: InverseKinematicsSettings, k: int
 ) -> FloatArray:
-    """Return seeds (N, J) within the limits, the start first."""
+    """Return the seeds (N, J) of round `k` within the limits; of the first round the start first."""
     endless = arm.chain.continuous
     low, high = np.where(endless, start - np.pi, lower), np.where(endless, start + np.pi, upper)
     n = arm.chain.n_joints
@@ -232,9 +253,11 @@ def _seeds(
     for _ in range(50):
         root = (1.0 + root) ** (1.0 / (n + 1))
     offset = np.random.default_rng(settings.seed).random(n)
-    draws = (offset + np.arange(settings.n_seeds)[:, None] * root ** -np.arange(1.0, n + 1.0)) % 1.0
+    numbers = k * settings.n_seeds + np.arange(settings.n_seeds)
+    draws = (offset + numbers[:, None] * root ** -np.arange(1.0, n + 1.0)) % 1.0
     seeds: FloatArray = low + draws * (high - low)
-    seeds[0] = np.clip(start, lower, upper)
+    if k == 0:
+        seeds[0] = np.clip(start, lower, upper)
     return seeds
 
 
