@@ -142,7 +142,7 @@ def _print_bag(found: BagReport, console: Console) -> None:
         table.add_row(topic, str(count))
     console.print(table)
     for problem in found.problems[:_LISTED]:
-        console.print(f"problem: {problem}", highlight=False)
+        console.print(f"problem: {problem}", highlight=False, soft_wrap=True)
     if len(found.problems) > _LISTED:
         console.print(f"and {len(found.problems) - _LISTED} more problems")
     console.print("all is well" if found.ok else "not all is well")

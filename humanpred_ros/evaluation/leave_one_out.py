@@ -145,7 +145,7 @@ def check_needs(library: MotionLibrary, needs: Mapping[str, Needs | None], optio
     elif any(need is not None and len(library.labels) < need.n_classes for need in map(needs.get, refused)):
         remedy = "record more"
     else:
-        remedy = "record more or leave the class out (--leave-out)"
+        remedy = "record more or leave the class out"
     others = [name for name in needs if name not in refused]
     if others:
         remedy += f", or evaluate only the others: {option} {','.join(others)}"

@@ -29,16 +29,9 @@ from humanpred_ros.human.marker_set import (
     place,
     seen_in,
 )
-from humanpred_ros.human.model import HumanModel
+from humanpred_ros.human.model import MOCAP23_DOFS, HumanModel
 from humanpred_ros.human.segment_angles import postures_of, segment_frames
 
-#: The DoFs of P2's human, in the order of its recordings' columns (docs/papers.md, P2 human).
-MOCAP23_DOFS = (
-    "PelvisTransX", "PelvisTransY", "PelvisTransZ", "PelvisRotX", "PelvisRotY", "PelvisRotZ",
-    "TorsoX", "TorsoZ", "TorsoY", "rShoulderTransX", "rShoulderTransY", "rShoulderTransZ",
-    "rShoulderY1", "rShoulderX", "rShoulderY2", "rArmTrans", "rElbowZ", "rElbowX", "rElbowY",
-    "rForeArmTrans", "rWristZ", "rWristX", "rWristY",
-)  # fmt: skip
 #: Distances between a segment's markers, as a share of the marker set's, outside which the labels cannot be right.
 PLAUSIBLE_RATIO = (0.4, 2.5)
 #: How far (m) a person's markers may sit from the marker set's places before an exchange of two labels is suspected.

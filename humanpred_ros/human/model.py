@@ -35,6 +35,14 @@ _LARGEST_M, _MOST = 5.0, 300
 
 T = TypeVar("T", bound=np.generic)
 
+#: The DoFs of P2's human, in the order of its recordings' columns (docs/papers.md, P2 human).
+MOCAP23_DOFS = (
+    "PelvisTransX", "PelvisTransY", "PelvisTransZ", "PelvisRotX", "PelvisRotY", "PelvisRotZ",
+    "TorsoX", "TorsoZ", "TorsoY", "rShoulderTransX", "rShoulderTransY", "rShoulderTransZ",
+    "rShoulderY1", "rShoulderX", "rShoulderY2", "rArmTrans", "rElbowZ", "rElbowX", "rElbowY",
+    "rForeArmTrans", "rWristZ", "rWristX", "rWristY",
+)  # fmt: skip
+
 
 class SurfacePoints(NamedTuple):
     """Points on the surface of a model's bodies, fixed to its links; read-only."""

@@ -26,7 +26,7 @@ from humanpred_ros.errors import BagError
 from humanpred_ros.files import json_of
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.kinect import KINECT12_DOFS
-from humanpred_ros.human.marker_skeleton import MOCAP23_DOFS
+from humanpred_ros.human.model import MOCAP23_DOFS
 from humanpred_ros.motion.motion import SKELETON_POINTS, Motion, MotionLibrary
 from humanpred_ros.topics import human_joint_states
 

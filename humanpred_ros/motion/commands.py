@@ -12,8 +12,8 @@ import numpy as np
 from rich.console import Console
 
 from humanpred_ros.errors import LibraryFormatError, UsageError
-from humanpred_ros.human.marker_skeleton import LONGEST_GAP_S, MOCAP23_DOFS
-from humanpred_ros.human.model import HumanModel, name_of_human
+from humanpred_ros.human.marker_skeleton import LONGEST_GAP_S
+from humanpred_ros.human.model import MOCAP23_DOFS, HumanModel, name_of_human
 from humanpred_ros.human.skeletons import load_skeleton, pose_of
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.cleaning import clean_library, flag_library

@@ -189,6 +189,8 @@ def _checked_header(
                 hint = (
                     f"; the first row begins with {header[0]!r:.40}: it has to be the header, with , ; or tabs between"
                 )
+            elif missing and (further := [title for title in header if title and title not in known]):
+                hint = f"; it has {', '.join(further):.200} instead"
             others = "" if optional is None else f", and perhaps {', '.join(optional)}"
             raise LibraryFormatError(
                 f"{path}:{line}: columns {what}: {', '.join(titles):.300}; wanted {', '.join(wanted)}{others}{hint}"

@@ -32,7 +32,7 @@ _MOST_RAD = 20.0
 #: No room for motion capture is larger: centimetres and millimetres go beyond.
 _MOST_M = 20.0
 #: Frames of motion capture are 2 to 10 ms apart, of a depth camera 33 ms: milliseconds and nanoseconds go beyond.
-_PERIOD_S = (0.0005, 0.2)
+_PERIOD_S = (0.0005, 0.5)
 #: Upper arms and forearms of children and giants, also with badly placed markers.
 _BONE_M = (0.05, 1.0)
 #: A hand that goes less than this does not reach.

@@ -167,7 +167,7 @@ def test_nearest_names_the_links_that_would_touch() -> None:
 
 def test_clearance_does_not_depend_on_where_the_robot_stands() -> None:
     elsewhere = pr2_arm(planar_pose(1.0, -2.0, 0.0, 0.7), torso_lift_joint=0.1)
-    assert SelfCollision.for_arm(elsewhere) is ITSELF
+    assert SelfCollision.for_arm(elsewhere) is SelfCollision.for_arm(ARM)
     q = random_configurations(1)[0]
     turned = ITSELF.clearance(q + 0.1 * np.eye(7)[PAN])
     np.testing.assert_allclose(turned, ITSELF.clearance(q), atol=1e-12)
