@@ -47,7 +47,9 @@ if TYPE_CHECKING:
 
 _LOG_LINE = re.compile(r"^\[\w+\] \[[\d.]+\] \[stomp_planner\]: (.*)$")
 _TRACKER = "skeleton_tracker_replay"
-_PEERS = ("occupancy_predictor", "stomp_planner", "simulated_arm", "run_recorder")
+#: Named wherever something is sent: a recorder that is not yet matched would miss the first of it.
+_RECORDER = "run_recorder"
+_PEERS = ("occupancy_predictor", "stomp_planner", "simulated_arm", _RECORDER)
 
 
 class DemoSettings(Settings):
@@ -161,7 +163,7 @@ def _start(
         **parameters_of(given, settings.cost_terms),
         "lossless": settings.stepped,
         "controller": "simulated_arm",
-        "listener": _TRACKER,
+        "listener": f"{_TRACKER},{_RECORDER}",
     }
     if not settings.one_process:
         group.start("stomp_planner", planner)
@@ -179,7 +181,7 @@ def _start(
         **parameters_of(given, (settings.classifier, settings.predictor)),
         "threshold": settings.threshold,
         "lossless": settings.stepped,
-        "listener": "stomp_planner",
+        "listener": f"stomp_planner,{_RECORDER}",
     }
     if settings.one_process:
         group.start(ONE_PROCESS, in_one_process(planner, predictor))
@@ -195,12 +197,12 @@ def _start(
             "rate": settings.real_time or 1.0,
             "hold_last_s": settings.hold_last_s,
             "wait_for": ",".join(_PEERS),
-            "listener": "occupancy_predictor",
+            "listener": f"occupancy_predictor,{_RECORDER}",
         },
     )
     info = json.dumps(_facts(settings, motion, period_s))
     group.start(
-        "run_recorder", {"output": str(folder / "bag"), "stay": False, "run_info": info, "markers": settings.markers}
+        _RECORDER, {"output": str(folder / "bag"), "stay": False, "run_info": info, "markers": settings.markers}
     )
     from humanpred_ros.robot.scene import load_scene
 
