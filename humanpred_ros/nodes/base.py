@@ -393,7 +393,7 @@ def _initialise(arguments: list[str]) -> None:
     for word in arguments:
         name, _, value = word.partition(":=")
         if name.rpartition(":")[2] == "__ns":
-            _check_namespace(value)
+            check_namespace(value)
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as trouble:  # the common base of rclpy's several errors about arguments
@@ -405,7 +405,8 @@ def _initialise(arguments: list[str]) -> None:
         raise UsageError(f"arguments: got {' '.join(unread)}; parameters are given as --ros-args -p NAME:=VALUE")
 
 
-def _check_namespace(namespace: str) -> None:
+def check_namespace(namespace: str) -> None:
+    """Raise UsageError for what no namespace can be called."""
     try:
         validate_namespace(namespace)
     except InvalidNamespaceException as trouble:

@@ -24,6 +24,7 @@ from humanpred_ros import topics
 from humanpred_ros.errors import HumanPredError, UsageError
 from humanpred_ros.human.model import HumanModel, human_named
 from humanpred_ros.nodes import conversions, qos
+from humanpred_ros.nodes.base import check_namespace
 from humanpred_ros.robot.scene import Scene, load_scene
 from humanpred_ros.settings import setting
 from humanpred_ros.viewing import recorded
@@ -177,10 +178,12 @@ def run(settings: LiveViewSettings, console: Console) -> int:
         console.print(text, highlight=False)
 
     human = human_named(settings.human)
+    namespace = f"/{settings.namespace.lstrip('/')}"
+    check_namespace(namespace)
     rclpy.init(args=[])
     executor = SingleThreadedExecutor()
     try:
-        node = rclpy.create_node(f"humanpred_view_{os.getpid()}", namespace=settings.namespace or None)
+        node = rclpy.create_node(f"humanpred_view_{os.getpid()}", namespace=namespace)
         executor.add_node(node)
         scene = load_scene(settings.scene or _planners_scene(node, executor))
         with served(settings, tell) as server:

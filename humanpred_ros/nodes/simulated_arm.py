@@ -63,7 +63,7 @@ class SimulatedArm(GraphNode):
     def activate(self) -> None:
         rate_hz = self.settings.rate_hz
         self.ended = ""
-        # Made first, so that a trajectory and a clock tick that wait together are taken in this order.
+        # Made first: an executor without events takes a trajectory and a clock tick that wait together in this order.
         commands = self.listen(JointTrajectory, topics.TRAJECTORY, self.on_trajectory, qos.COMMAND)
         self.hardware_id = commands.topic_name.rpartition("/")[0]
         self.action: TrajectoryActionServer | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import socket
 import threading
 import urllib.request
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 from waiting import wait_until
 
 from humanpred_ros.errors import UsageError
@@ -122,6 +124,14 @@ def test_a_port_in_use_is_passed_over_and_told() -> None:
             pass
     assert told[0].startswith(f"port {port} is in use")
     assert f":{port} " not in told[1]
+
+
+def test_a_namespace_that_is_none_is_refused_in_one_line() -> None:
+    pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
+    from humanpred_ros.nodes.live_view import LiveViewSettings, run
+
+    with pytest.raises(UsageError, match="namespace: wanted /NAME"):
+        run(LiveViewSettings(namespace="a b"), Console(file=io.StringIO()))
 
 
 def test_text_of_strangers_is_shown_as_text() -> None:
