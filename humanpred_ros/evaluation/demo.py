@@ -39,7 +39,7 @@ from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR, SET, Given, given_settings, parameters_of
 from humanpred_ros.resources import locate, replacing
-from humanpred_ros.robot.scene_file import RECORDED_SCENE, read_scene_file, scene_names
+from humanpred_ros.robot.scene_file import keep_scene, read_scene_file
 from humanpred_ros.settings import LARGEST_SEED, Settings, setting, setting_of
 
 if TYPE_CHECKING:
@@ -168,8 +168,7 @@ def _start(
     if not settings.one_process:
         group.start("stomp_planner", planner)
     group.start("simulated_arm", common)
-    if settings.scene not in scene_names():
-        shutil.copyfile(settings.scene, folder / RECORDED_SCENE)
+    keep_scene(settings.scene, folder)
     model = _model(settings, given, library, motion, folder / "model.npz", console)
     predictor: dict[str, ParameterValue] = {
         **common,

@@ -7,19 +7,20 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import yaml
 from pydantic import AfterValidator, BeforeValidator, Field, StrictInt, model_validator
 
-from humanpred_ros.errors import SceneError
-from humanpred_ros.files import file_inside
+from humanpred_ros.errors import RobotError, SceneError
+from humanpred_ros.files import file_inside, read_yaml
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.resources import share_file
 from humanpred_ros.robot.robot_file import Number, read_robot_file, robot_with_keys
 from humanpred_ros.robot.sections import Name, Section, read_section
 
-#: The file in which a run keeps the scene that it was made with.
-RECORDED_SCENE = "scene.yaml"
+#: The files in which a run keeps the scene that it was made with, and that scene's robot.
+RECORDED_SCENE, _RECORDED_ROBOT = "scene.yaml", "robot.yaml"
 
 #: No workplace is larger, m.
 LARGEST_M = 100.0
@@ -269,6 +270,35 @@ def recorded_scene(folder: Path, name: str) -> str:
             f"trust the scene, copy it to {kept}"
         )
     return str(file_inside(folder, RECORDED_SCENE, SceneError, "scene"))
+
+
+def keep_scene(name_or_path: str | Path, folder: Path) -> None:
+    """Write a scene into a run's folder, with its robot's file, unless both come with the package.
+
+    Meshes and descriptions stay where they are; what is written names them by their absolute paths.
+
+    Raises:
+        SceneError, RobotError: for files that cannot be read.
+    """
+    path = Path(name_or_path).absolute()
+    if str(name_or_path) in scene_names():
+        return
+    scene = read_yaml(path, SceneError)
+    robot_file = path.parent / (read_scene_file(path).robot.name or "")
+    if robot_file.suffix in (".yaml", ".yml"):
+        robot = read_yaml(robot_file, RobotError)
+        for section, key in ((robot, "description"), (robot, "semantic"), (robot.get("collision") or {}, "spheres")):
+            _make_absolute(section, key, robot_file.parent)
+        (folder / _RECORDED_ROBOT).write_text(yaml.safe_dump(robot, sort_keys=False), encoding="utf-8")
+        scene["robot"]["name"] = _RECORDED_ROBOT
+    for obstacle in scene.get("obstacles") or ():
+        _make_absolute(obstacle, "mesh", path.parent)
+    (folder / RECORDED_SCENE).write_text(yaml.safe_dump(scene, sort_keys=False), encoding="utf-8")
+
+
+def _make_absolute(section: dict[str, Any], key: str, folder: Path) -> None:
+    if key in section and (folder / section[key]).is_file():
+        section[key] = str(folder / section[key])
 
 
 def read_scene_file(name_or_path: str | Path) -> SceneFile:
