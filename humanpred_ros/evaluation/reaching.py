@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
@@ -10,12 +10,9 @@ from typing import Any
 
 from humanpred_ros.evaluation.framework import Begin, Column, Report, Table
 from humanpred_ros.evaluation.reaching_plot import draw_reaching
-from humanpred_ros.evaluation.reaching_predictors import BETTER
 from humanpred_ros.evaluation.reaching_runs import (
     DISTANCES,
-    ITSELF,
     TABLE1,
-    YARDSTICK,
     Paths,
     ReachingSettings,
     by_group,
@@ -24,7 +21,6 @@ from humanpred_ros.evaluation.reaching_runs import (
     means,
     published_of,
     score_of,
-    wins,
 )
 from humanpred_ros.evaluation.reaching_weights import IMPROVED, PUBLISHED, STATISTICS
 from humanpred_ros.human.model import HumanModel
@@ -124,39 +120,28 @@ def _averages_table(entry: Mapping[str, Any]) -> Table:
 
 
 def _each_table(entry: Mapping[str, Any], which: int) -> Table:
-    """Return one distance of every reach, their mean, the mean without marked jumps, and wins over the yardstick."""
+    """Return one distance of every reach, and their mean."""
     distance, recordings = DISTANCES[which], entry["recordings"]
-    marked = any(facts["unfit"] for facts in recordings)
     heads = [(f"{facts['name']}{'*' if facts['unfit'] else ''}", ".2f") for facts in recordings]
     rows: list[list[Any]] = []
     if which < 2 and any(facts["name"] in TABLE1 for facts in recordings):
         theirs = [TABLE1[facts["name"]][which] if facts["name"] in TABLE1 else None for facts in recordings]
-        rows.append(["P2 Table I (own)", *theirs, published_of(entry, "own").get(distance), None, None])
+        rows.append(["P2 Table I (own)", *theirs, published_of(entry, "own").get(distance)])
     for p in by_group(entry):
-        fit = p["average_fit"][distance]["mean"] if marked and p["average_fit"] else None
-        won = None if p["name"] in (YARDSTICK, ITSELF) else wins(entry, p["name"], distance)
-        rows.append([p["name"], *means(p, distance), p["average"][distance]["mean"], fit, won])
-    return Table.of_rows(
-        f"Each reach: {_TITLES[which]}, metres; wins: on how many it is better than {YARDSTICK}",
-        ("predictor", *heads, ("mean", ".2f"), ("mean without *", ".2f"), "wins"),
-        rows,
-    )
+        rows.append([p["name"], *means(p, distance), p["average"][distance]["mean"]])
+    return Table.of_rows(f"Each reach: {_TITLES[which]}, metres", ("predictor", *heads, ("mean", ".2f")), rows)
 
 
 def _weights_table(weights: Mapping[str, Any]) -> Table:
     columns, upper = weights["columns"], f"{weights['upper']:g}"
     shown: list[Column] = [Column("feature", FEATURE_NAMES.__getitem__)]
     for column in columns:
-        # Weights of normalised features are of all sizes; their influence says more.
-        if column["name"] != IMPROVED:
-            shown.append(Column(column["name"], column["weights"].__getitem__, ".1f"))
-            if column["spread"] is not None:
-                shown.append(Column(f"{column['name']} ±", column["spread"].__getitem__, ".0f"))
-    shown += [Column(f"{column['name']} influence", column["influence"].__getitem__, ".1%") for column in columns]
+        shown.append(Column(column["name"], column["weights"].__getitem__, _spec(column["name"])))
+        if column["spread"] is not None:
+            shown.append(Column(f"{column['name']} ±", column["spread"].__getitem__, _spec(column["name"])))
     note = (
         f"{PUBLISHED}, alone and the authors have the same features, scales and bounds 0 to {upper}, and are "
-        "comparable as they stand. Influence: weight x standard deviation of its feature over samples around the "
-        "demonstrations, as a share of the sum: comparable among all. "
+        f"comparable as they stand; {IMPROVED} has features in units of their spread. "
     )
     note += " ".join(f"{column['name']}: {column['description']}." for column in columns)
     for column in columns:
@@ -187,22 +172,19 @@ def _recovery_table(figures: Mapping[str, Any]) -> Table:
 
 
 def _left_out_table(left_out: Mapping[str, Any]) -> Table:
-    """Return P2 Fig. 10: weights learned leaving out one recording each; of normalised features, their influence."""
-    how = left_out["how"]
-    what, key, spec = "weights", "weights", ".1f"
-    if how != PUBLISHED:
-        what, key, spec = "influence (weights are in the JSON file)", "influence", ".1%"
-    values = left_out[key]
+    """Return P2 Fig. 10: weights learned leaving out one recording each."""
+    how, values, spec = left_out["how"], left_out["weights"], _spec(left_out["how"])
     rows = [
         [feature, *values[:, k], values[:, k].mean(), values[:, k].std()] for k, feature in enumerate(FEATURE_NAMES)
     ]
-    heads: list[str | tuple[str, ...]] = [
-        "feature",
-        *((name, spec) for name in left_out["recordings"]),
-        ("mean", spec),
-        ("sd", spec),
-    ]
-    return Table.of_rows(f"P2 Fig. 10: learned as {how}, leaving out one recording each: {what}", heads, rows)
+    heads = [(name, spec) for name in (*left_out["recordings"], "mean", "sd")]
+    title = f"P2 Fig. 10: weights learned as {how}, leaving out one recording each"
+    return Table.of_rows(title, ["feature", *heads], rows)
+
+
+def _spec(how: str) -> str:
+    """Return the format of weights; those of normalised features are of all sizes."""
+    return ".2g" if how == IMPROVED else ".1f"
 
 
 def _notes(figures: Mapping[str, Any]) -> Iterator[str]:
@@ -221,29 +203,7 @@ def _notes(figures: Mapping[str, Any]) -> Iterator[str]:
             yield from (f"{facts['name']} {text}" for text in facts["notes"])
             if facts["unfit"]:
                 yield f"* {facts['unfit']}: tested; learned from only where P2 is reproduced"
-    yield from _caution(sets)
-    if times := figures["times"]:
-        yield (
-            f"One prediction of {times[0]['recording']}, {times[0]['duration_s']:.2f} s, by one process: "
-            + ", ".join(f"{each['predictor']} {each['median_ms']:.1f} ms" for each in times)
-        )
     if weights is not None:
         spent = (f"{how} {learn_s:.1f} s" for how, learn_s in weights["learn_s"].items())
         yield f"Learning from all recordings, bootstrap included: {', '.join(spent)}"
     yield f"{figures['elapsed_s']:.0f} s in all"
-
-
-def _caution(sets: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Yield that some predictors were designed on P2's seven reaches, and their scores elsewhere."""
-    chosen = [p["name"] for p in sets[0]["predictors"] if p["group"] == BETTER or p["name"] == "bow"]
-    if not chosen or not sets[0]["published"]:
-        return
-    yield (
-        f"Caution: {', '.join(chosen)} were designed while looking at these seven reaches, and leaving one out does "
-        "not make up for that. Expect less elsewhere."
-    )
-    for entry in sets[1:]:
-        found = [predictor for name in (*chosen, YARDSTICK) if (predictor := score_of(entry, name)) is not None]
-        yield f"Fairer, though only {many(entry)}: {entry['title']}; joint / task: " + ", ".join(
-            f"{p['name']} {p['average']['joint_m']['mean']:.2f} / {p['average']['task_m']['mean']:.2f}" for p in found
-        )

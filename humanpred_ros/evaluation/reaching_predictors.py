@@ -14,9 +14,8 @@ import numpy as np
 
 from humanpred_ros.errors import MotionError, UsageError
 from humanpred_ros.evaluation.reaching_weights import ALL, ALONE, IMPROVED, PUBLISHED
-from humanpred_ros.geometry.checks import FloatArray, frozen
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
-from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import ReachRecording
 from humanpred_ros.reaching.between_ends import PostureBounds, minimum_jerk, straight_line
 from humanpred_ros.reaching.features import NAMED_WEIGHTS
@@ -38,8 +37,8 @@ REPRODUCED = "P2 reproduced"
 BETTER = "better"
 REFERENCE = "reference"
 GROUPS = (TRIVIAL, SIMPLE, REPRODUCED, BETTER, REFERENCE)
-#: Phases at which time profiles are averaged, and the bow is kept.
-_N_PHASES, _N_BOW_PHASES = 100, 101
+#: Phases at which time profiles are averaged.
+_N_PHASES = 100
 #: A motion that ends nearer to its start than this share of its farthest distance is no reach, but there and back.
 _LEAST_WAY_SHARE = 0.25
 
@@ -82,29 +81,17 @@ class ReachingEntry:
 
 
 @dataclass(frozen=True, eq=False)
-class BowedLine:
-    """Moves on the straight line in posture space, plus a learned deviation, the bow: hard to beat (not in P2).
-
-    People bend the elbow and lift the hand first, and turn the shoulder late. The bow is what recorded reaches have
-    beyond the minimum-jerk line between their ends. Like the height of an arc over its chord, it is taken to grow with
-    the square of the distance the wrist goes.
-    """
+class Line:
+    """Moves on the straight line in posture space."""
 
     profile: Callable[[FloatArray], FloatArray]  #: returns the share of the way (n,) at phases (n,) from 0 to 1
-    model: HumanModel | None = None  #: the human; None without a bow
-    shape: FloatArray | None = None  #: (P, J) bow at even phases of a reach whose wrist goes one metre
 
     def predict(self, task: ReachTask, rng: np.random.Generator) -> FloatArray:
         """Return the postures (n, J), ends exact; nothing is random."""
-        postures = straight_line(task.start, task.goal, self.profile(task.phase))
-        if self.model is not None and self.shape is not None:
-            phases = np.linspace(0.0, 1.0, len(self.shape))
-            bow = np.stack([np.interp(task.phase, phases, column) for column in self.shape.T], axis=1)
-            postures = postures + _wrist_way_m(self.model, task.start, task.goal) ** 2.0 * bow
-        return postures
+        return straight_line(task.start, task.goal, self.profile(task.phase))
 
 
-def mean_profile(recordings: Sequence[ReachRecording]) -> BowedLine:
+def mean_profile(recordings: Sequence[ReachRecording]) -> Line:
     """Return the straight line with the mean time profile of recorded reaches.
 
     A profile is the projection onto the line from the first to the last posture. Motions of people who came back to
@@ -122,46 +109,12 @@ def mean_profile(recordings: Sequence[ReachRecording]) -> BowedLine:
         if away[-1] > _LEAST_WAY_SHARE * away.max():
             way = motion.q[-1] - motion.q[0]
             done = (motion.q - motion.q[0]) @ way / float(way @ way)
-            profiles.append(np.interp(phases, _phase(motion), done))
+            phase = (motion.t_s - motion.t_s[0]) / motion.duration_s
+            profiles.append(np.interp(phases, phase, done))
     if not profiles:
-        return BowedLine(minimum_jerk)
+        return Line(minimum_jerk)
     mean = np.mean(profiles, axis=0)
-    return BowedLine(lambda phase: np.asarray(np.interp(phase, phases, mean)))
-
-
-def learn_bow(recordings: Sequence[ReachRecording], model: HumanModel) -> BowedLine:
-    """Return minimum jerk with the bow of recorded reaches; those unfit for learning are left out.
-
-    The shape is fitted by least squares, with one more observation of no bow, of the mean weight of the others.
-
-    Raises:
-        MotionError: nothing to learn from, or wrists that go nowhere.
-    """
-    usable = [recording.active for recording in recordings if not recording.unfit]
-    if not usable:
-        raise MotionError("bow: wanted at least one recording fit for learning, got none")
-    sizes = np.array([_wrist_way_m(model, motion.q[0], motion.q[-1]) ** 2.0 for motion in usable])
-    if not sizes.any():
-        raise MotionError("bow: wanted reaches, the wrist ends where it began in all recordings")
-    phases = np.linspace(0.0, 1.0, _N_BOW_PHASES)
-    bows = []
-    for motion in usable:
-        phase = _phase(motion)
-        beyond = motion.q - straight_line(motion.q[0], motion.q[-1], minimum_jerk(phase))
-        bows.append(np.stack([np.interp(phases, phase, column) for column in beyond.T], axis=1))
-    squares = sizes**2
-    shape = np.tensordot(sizes, np.array(bows), axes=1) / (squares.sum() + squares.mean())
-    return BowedLine(minimum_jerk, model, frozen(shape))  # type: ignore[arg-type]
-
-
-def _phase(motion: Motion) -> FloatArray:
-    phase: FloatArray = (motion.t_s - motion.t_s[0]) / motion.duration_s
-    return phase
-
-
-def _wrist_way_m(model: HumanModel, start: FloatArray, goal: FloatArray) -> float:
-    places = model.forward(np.stack([start, goal]))[WRIST]
-    return float(np.linalg.norm(places[1] - places[0]))
+    return Line(lambda phase: np.asarray(np.interp(phase, phases, mean)))
 
 
 #: Predictors that plan: description, the weights they learn (None: those of `NAMED_WEIGHTS`), and kind.
@@ -174,9 +127,6 @@ _PLANNED: dict[str, tuple[str, str | None, str]] = {
     "improved": ("learned cost of smoothness, better first guess, noise and bounds", IMPROVED, BETTER),
     "baseline_0": ("smooth only, ignores the partner (P2's aggressive baseline)", None, REPRODUCED),
     "baseline_1": ("smooth, equally far from all links of the partner (P2's conservative baseline)", None, REPRODUCED),
-    "authors_static": (
-        "mean of the weights that P2's authors learned, the tested reach among them", None, REPRODUCED
-    ),
 }  # fmt: skip
 
 
@@ -204,23 +154,18 @@ def _planned_entries() -> Iterator[tuple[str, ReachingEntry]]:
                 yield name + tail, ReachingEntry(text + default + how, make, group, learns, step_s)
 
 
-def _line(profile: Callable[[FloatArray], FloatArray]) -> Callable[[ReachingMaterial, str], BowedLine]:
-    return lambda material, tested: BowedLine(profile)
+def _line(profile: Callable[[FloatArray], FloatArray]) -> Callable[[ReachingMaterial, str], Line]:
+    return lambda material, tested: Line(profile)
 
 
 REACHING_PREDICTORS: Mapping[str, ReachingEntry] = MappingProxyType(
     {
         "hold": ReachingEntry("stays in the first posture", _line(np.zeros_like)),
         "line": ReachingEntry("straight line in posture space, constant speed", _line(lambda phase: phase)),
-        "cubic": ReachingEntry("straight line, cubic timing", _line(lambda phase: phase**2 * (3.0 - 2.0 * phase))),
         "minimum_jerk": ReachingEntry("straight line, minimum-jerk timing", _line(minimum_jerk)),
         "time_profile": ReachingEntry(
             "straight line, mean timing of the other recordings",
             lambda material, tested: mean_profile(material.without(tested)), SIMPLE,
-        ),
-        "bow": ReachingEntry(
-            "minimum jerk, bowed as the other recordings",
-            lambda material, tested: learn_bow(material.without(tested), material.model), SIMPLE,
         ),
         **dict(_planned_entries()),
     }

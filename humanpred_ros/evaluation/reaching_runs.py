@@ -30,7 +30,6 @@ from humanpred_ros.evaluation.reaching_predictors import (
 from humanpred_ros.evaluation.reaching_weights import (
     ALL,
     STATISTICS,
-    feature_deviation,
     learn_all,
     recover,
     recovery_figures,
@@ -92,8 +91,6 @@ PUBLISHED_INTERFERENCE: tuple[PublishedRow, ...] = (
     PublishedRow("learned", "learned weights", "P2 Table III", 52.89, 49.22),
     PublishedRow("learned_replanned", "learned weights, re-planned", "P2 Table III", 44.91, 36.20),
 )
-#: Single predictions are timed on the reach nearest to this duration, s: so many, after so many to warm up.
-_TIMED_DURATION_S, _TIMED, _WARM_UP = 1.3, 15, 2
 
 
 class ReachingSettings(EvaluationSettings):
@@ -210,7 +207,6 @@ def evaluate(
     learned = {how: learn_all(ordered, model, how, settings.seed, surroundings) for how in ways}
     weights = {how: {ALL: found.everything.weights, **found.each} for how, found in learned.items()}
     material = ReachingMaterial(ordered, model, weights, surroundings)
-    times = list(_prediction_times(predictors, ordered, material))
 
     tasks = sorted(_tasks(ordered, interference, predictors, settings.runs), key=_length, reverse=True)
     predict, advance = partial(predict_recording, material, settings.seed), begin("predicted", len(tasks))
@@ -238,9 +234,8 @@ def evaluate(
         "obstacles": [obstacle.name for obstacle in surroundings.obstacles],
         "sets": sets,
         "table1": {recording.name: TABLE1[recording.name] for recording in ordered if recording.name in TABLE1},
-        "weights": weight_figures(learned, feature_deviation(ordered, model, settings.seed)) if learned else None,
+        "weights": weight_figures(learned) if learned else None,
         "recovery": recovery,
-        "times": times,
         "elapsed_s": time.perf_counter() - began_s,
     }
     return figures, {key: outcome.wrist_m for key, outcome in found.items()}
@@ -265,34 +260,6 @@ def _length(task: RecordingTask) -> float:
     """Return about how long a task takes; a single plan takes as long for any duration, re-plans come every 0.1 s."""
     entry = reaching_entry(task.predictor)
     return task.runs * (task.recording.active.duration_s if entry.step_s else 0.1 if entry.by_chance else 0.0)
-
-
-def _prediction_times(
-    names: Sequence[str], recordings: Sequence[ReachRecording], material: ReachingMaterial
-) -> Iterator[dict[str, Any]]:
-    """Yield the time of predictors that plan a reach once, in one process, while the evaluation does nothing else."""
-    recording = min(recordings, key=lambda each: abs(each.active.duration_s - _TIMED_DURATION_S))
-    reach = ReachTask.of(recording)
-    for name in names:
-        entry = reaching_entry(name)
-        if not entry.by_chance or entry.step_s:
-            continue
-        predictor = entry.make(material, recording.name)
-        spent = []
-        for run in range(_WARM_UP + _TIMED):
-            rng = np.random.default_rng(run)
-            begin = time.perf_counter(), time.process_time()
-            predictor.predict(reach, rng)
-            spent.append((time.perf_counter() - begin[0], time.process_time() - begin[1]))
-        timed_ms = 1e3 * np.array(spent[_WARM_UP:])
-        yield {
-            "predictor": name,
-            "recording": recording.name,
-            "duration_s": recording.active.duration_s,
-            "median_ms": float(np.median(timed_ms[:, 0])),
-            "slowest_ms": float(timed_ms[:, 0].max()),
-            "processor_ms": float(np.median(timed_ms[:, 1])),
-        }
 
 
 def _facts(recording: ReachRecording, learned_from: Sequence[ReachRecording], model: HumanModel) -> dict[str, Any]:
@@ -323,7 +290,6 @@ def _set_of(
 
     `left_out` says whether predictors had learned from all recordings but the tested one; otherwise from others.
     """
-    fit = np.array([facts["unfit"] is None for facts in recordings])
 
     def scores(name: str, description: str, group: str) -> dict[str, Any]:
         outcomes = [found[name, facts["name"]] for facts in recordings]
@@ -339,7 +305,6 @@ def _set_of(
             ],
             # Averages over the recordings, which is how P2's averages are made.
             "average": _by_distance(values.mean(axis=0)),
-            "average_fit": _by_distance(values[fit].mean(axis=0)) if fit.any() else None,
             "predict_ms": 1e3 * float(np.median(np.concatenate([outcome.times_s for outcome in outcomes]))),
         }
 
@@ -383,11 +348,3 @@ def many(entry: Mapping[str, Any]) -> str:
 def means(predictor: Mapping[str, Any], distance: str) -> list[float]:
     """Return a predictor's distance of each recording, mean over the runs."""
     return [each["figures"][distance]["mean"] for each in predictor["recordings"]]
-
-
-def wins(entry: Mapping[str, Any], name: str, distance: str) -> int | None:
-    """Return on how many recordings a predictor is better than the yardstick; None if one was not run."""
-    ours, theirs = score_of(entry, name), score_of(entry, YARDSTICK)
-    if ours is None or theirs is None:
-        return None
-    return sum(a < b for a, b in zip(means(ours, distance), means(theirs, distance), strict=True))

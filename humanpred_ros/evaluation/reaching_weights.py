@@ -1,9 +1,7 @@
 """Weights for `humanpred evaluate reaching`: learned once, compared with the published ones, and recovered (P2 Fig. 7).
 
-All weights belong to the same features with the same scales, and the published ones to the same bounds, so they can be
-compared as they stand. What a weight means for a reach depends on how much its feature varies, though, and costs have
-no unit; so every set of weights is also given as influence: weight times the standard deviation of its feature over
-samples around the demonstrations, as a share of the sum over all features.
+All weights but those of the improved way belong to the same features with the same scales and bounds, so they can be
+compared as they stand.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from humanpred_ros.geometry.checks import FloatArray, frozen
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.reach_recordings import ReachRecording
 from humanpred_ros.reaching.between_ends import PostureBounds, straight_line
-from humanpred_ros.reaching.demonstrations import Demonstration, demonstration, demonstrations
+from humanpred_ros.reaching.demonstrations import Demonstration, demonstration
 from humanpred_ros.reaching.features import DISTANCE_NAMES, FEATURE_NAMES, N_SMOOTHNESS, NAMED_WEIGHTS, ReachFeatures
 from humanpred_ros.reaching.learner import LearningSettings, ReachLearner
 from humanpred_ros.reaching.piirl import Contrast, PiirlSettings, contrasts, learn_weights
@@ -52,8 +50,6 @@ LEARNING: Mapping[str, LearningSettings] = MappingProxyType(
 ALL = ""
 #: Names of what `spread` returns.
 STATISTICS = ("mean", "sd", "low", "high")
-#: Samples of each demonstration that say how much a feature varies.
-_N_SAMPLES = 200
 
 
 def spread(values: FloatArray) -> FloatArray:
@@ -69,7 +65,6 @@ class LearnedWeights:
     each: Mapping[str, FloatArray]  #: (24,) by recording: learned from all others; with `ALONE` from that one
     notes: tuple[str, ...]  #: what learning reported about the recordings
     learn_s: float  #: time that `everything` took: samples, their features, weights and bootstrap
-    processor_s: float  #: the same as processor time, which other work on the machine changes less
 
 
 def learn_all(
@@ -93,7 +88,7 @@ def learn_all(
     Raises:
         MotionError: too little to learn from.
     """
-    begin, processor_begin = time.perf_counter(), time.process_time()
+    begin = time.perf_counter()
     settings = LEARNING[how].replaced(seed=seed)
 
     @lru_cache(maxsize=1)
@@ -104,7 +99,7 @@ def learn_all(
     if not learner.names:
         learner = less_strict()
     everything = learner.learn()
-    learn_s, processor_s = time.perf_counter() - begin, time.process_time() - processor_begin
+    learn_s = time.perf_counter() - begin
     each = {}
     for name in (recording.name for recording in recordings):
         some = [other.name for other in recordings if (other.name == name) == (how == ALONE)]
@@ -113,14 +108,14 @@ def learn_all(
             _log.warning("%s: nothing else to learn from; learned from all the same", ", ".join(some))
             able = less_strict()
         each[name] = able.learn(some, bootstrap=False).weights
-    return LearnedWeights(everything, each, learner.notes, learn_s, processor_s)
+    return LearnedWeights(everything, each, learner.notes, learn_s)
 
 
-def weight_columns(learned: Mapping[str, LearnedWeights], deviation: FloatArray) -> list[dict[str, Any]]:
+def weight_columns(learned: Mapping[str, LearnedWeights]) -> list[dict[str, Any]]:
     """Return the weights that were learned, by the names of `LEARNING`, and the published ones, side by side.
 
     Each has name, description, weights (24,), spread (24,) as standard deviation of what the description says (None
-    where it is not known), at_upper with the features whose bound stopped them, and influence (24,).
+    where it is not known), and at_upper with the features whose bound stopped them.
     """
     found: list[tuple[str, str, FloatArray, FloatArray | None, tuple[str, ...]]] = []
     for how, text in (
@@ -138,53 +133,24 @@ def weight_columns(learned: Mapping[str, LearnedWeights], deviation: FloatArray)
     for name, cuts in (("authors_static", "without cuts"), ("authors_dynamic", "with cuts")):
         text = f"learned by P2's authors from one of the seven each, {cuts}; mean"
         found.append((name, text, NAMED_WEIGHTS[name], None, ()))
-    keys = ("name", "description", "weights", "spread", "at_upper", "influence")
-    return [dict(zip(keys, (*row, influence(row[2], deviation)), strict=True)) for row in found]
+    keys = ("name", "description", "weights", "spread", "at_upper")
+    return [dict(zip(keys, row, strict=True)) for row in found]
 
 
-def influence(weights: FloatArray, deviation: FloatArray) -> FloatArray:
-    """Return how much of a cost's variation is due to each feature: shares (..., 24); zeros for weights of zero."""
-    moved = weights * deviation
-    total = moved.sum(axis=-1, keepdims=True)
-    shares: FloatArray = np.divide(moved, total, out=np.zeros_like(moved), where=total > 0.0)
-    return shares
-
-
-def feature_deviation(recordings: Sequence[ReachRecording], model: HumanModel, seed: int) -> FloatArray:
-    """Return the standard deviation (24,) of each feature over samples around whole recordings."""
-    features = ReachFeatures(model)
-    sampling = LEARNING[PUBLISHED].sampling.replaced(n_samples=_N_SAMPLES)
-    demos = demonstrations(recordings, features, keep_unfit=True)
-    found = contrasts(demos, features, sampling, np.random.default_rng([seed, 2]))
-    squares = np.mean([contrast.differences.var(axis=0) for contrast in found], axis=0)
-    deviation: FloatArray = np.sqrt(squares)
-    return deviation
-
-
-def weight_figures(learned: Mapping[str, LearnedWeights], deviation: FloatArray) -> dict[str, Any]:
-    """Return what was learned; deviation (24,) is the standard deviation of each feature over samples."""
-    left_out = []
-    for how, found in learned.items():
-        if how != ALONE:
-            values = np.array(list(found.each.values()))
-            left_out.append(
-                {
-                    "how": how,
-                    "recordings": list(found.each),
-                    "weights": values,
-                    "influence": influence(values, deviation),
-                }
-            )
+def weight_figures(learned: Mapping[str, LearnedWeights]) -> dict[str, Any]:
+    """Return what was learned; `left_out` has P2's Fig. 10: weights (R, 24) without each of R recordings."""
     return {
         "features": FEATURE_NAMES,
-        "deviation": deviation,
         "upper": LEARNING[PUBLISHED].piirl.upper,
-        "columns": weight_columns(learned, deviation),
-        "left_out": left_out,
+        "columns": weight_columns(learned),
+        "left_out": [
+            {"how": how, "recordings": list(found.each), "weights": np.array(list(found.each.values()))}
+            for how, found in learned.items()
+            if how != ALONE
+        ],
         "provenance": {how: each.everything.provenance for how, each in learned.items()},
         "notes": {how: each.notes for how, each in learned.items()},
         "learn_s": {how: each.learn_s for how, each in learned.items()},
-        "processor_s": {how: each.processor_s for how, each in learned.items()},
     }
 
 

@@ -41,7 +41,7 @@ def evaluate(demos: Path, *options: str) -> str:
 
 def test_everything_printed_is_in_the_json(demos: Path, tmp_path: Path) -> None:
     json_file, plot_file = tmp_path / "figures.json", tmp_path / "figures.png"
-    some = "hold,line,bow,baseline_0"  # learning takes its time
+    some = "hold,line,baseline_0"  # learning takes its time
     printed = evaluate(
         demos, "--predictor", some, "--runs", "2", "--json", str(json_file), "--plot", str(plot_file), "--seed", "3"
     )

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
 from paths import shared_data
-from reaching_people import GOAL, MODEL, START, recording
+from reaching_people import MODEL, recording
 
 from humanpred_ros.errors import MotionError, UsageError
 from humanpred_ros.evaluation.reach_distances import reach_distance
 from humanpred_ros.evaluation.reaching_predictors import (
     REACHING_PREDICTORS,
-    BowedLine,
     ReachingMaterial,
-    learn_bow,
     mean_profile,
     reaching_entry,
 )
 from humanpred_ros.evaluation.reaching_runs import DEMONSTRATIONS
 from humanpred_ros.motion.motion import Motion
-from humanpred_ros.motion.reach_recordings import Jump, ReachRecording, load_reach_recordings
+from humanpred_ros.motion.reach_recordings import ReachRecording, load_reach_recordings
 from humanpred_ros.reaching.between_ends import minimum_jerk
 from humanpred_ros.reaching.planner import ReachTask
 
@@ -39,7 +36,6 @@ MINIMUM_JERK = [(22.75, 45.81, 20.05), (34.49, 54.29, 23.90), (40.60, 78.66, 37.
 MEANS = {
     "hold": (123.4, 70.63, 74.64),
     "line": (27.96, 45.72, 22.40),
-    "cubic": (23.85, 44.17, 19.54),
     "minimum_jerk": (23.12, 43.63, 18.93),
     "time_profile": (24.04, 42.08, 19.16),
 }
@@ -76,20 +72,13 @@ def test_the_interference_case(seven: list[ReachRecording], name: str) -> None:
     assert scores(name, case, seven)[0] == pytest.approx(INTERFERENCE[name], abs=0.05)
 
 
-def test_on_the_papers_recordings_the_bow_is_better_than_minimum_jerk(seven: list[ReachRecording]) -> None:
-    bow, line = scores("bow", seven, seven), scores("minimum_jerk", seven, seven)
-    assert bow[:, 0].mean() < 15.0  # minimum jerk: 23.12, P2: 30.98
-    assert bow[:, 2].mean() < 13.5  # minimum jerk: 18.93
-    assert (bow[:, 0] > line[:, 0]).sum() <= 1
-
-
 def test_every_predictor_says_what_it_does() -> None:
     assert all(entry.description for entry in REACHING_PREDICTORS.values())
     with pytest.raises(UsageError, match="crystal_ball"):
         reaching_entry("crystal_ball")
 
 
-@pytest.mark.parametrize("name", ["line", "cubic", "minimum_jerk"])
+@pytest.mark.parametrize("name", ["line", "minimum_jerk"])
 def test_lines_begin_and_end_where_the_person_does(name: str) -> None:
     task = ReachTask.of(recording(1))
     postures = reaching_entry(name).make(ReachingMaterial([], MODEL), "").predict(task, RNG)
@@ -123,50 +112,3 @@ def test_people_who_come_back_have_no_say_in_the_time_profile() -> None:
             mean_profile([*there, again]).profile(phases), mean_profile(there).profile(phases)
         )
         np.testing.assert_array_equal(mean_profile([again]).profile(phases), minimum_jerk(phases))
-
-
-def wrist_way_m(goal: np.ndarray) -> float:
-    places = MODEL.forward(np.stack([START, goal]))["right_wrist"]
-    return float(np.linalg.norm(places[1] - places[0]))
-
-
-def bowed(share: float, shape: np.ndarray | None = None) -> ReachRecording:
-    """A reach to `share` of the way to the goal, with a bow that grows with the square of the wrist's way."""
-    t_s = np.linspace(0.0, 1.0, 101)
-    goal = START + share * (GOAL - START)
-    task = ReachTask("x", MODEL.dof_names, t_s, START, goal, recording(0).passive)
-    bow = np.sin(np.pi * t_s) * wrist_way_m(goal) ** 2 if shape is None else shape
-    q = BowedLine(minimum_jerk).predict(task, RNG)
-    q[:, ELBOW] -= bow
-    active, passive = (Motion(t_s, p, MODEL.dof_names) for p in (q, np.repeat(START[None], 101, axis=0)))
-    return ReachRecording(f"share_{share}", active, passive)
-
-
-def test_of_a_bow_that_grows_as_assumed_the_observation_without_bow_takes_a_known_share() -> None:
-    sizes = np.array([wrist_way_m(START + share * (GOAL - START)) ** 2 for share in (0.4, 1.0)])
-    kept = (sizes**2).sum() / ((sizes**2).sum() + (sizes**2).mean())
-    unseen = bowed(0.7)
-    task = ReachTask.of(unseen)
-    predicted = learn_bow([bowed(0.4), bowed(1.0)], MODEL).predict(task, RNG)
-    line = BowedLine(minimum_jerk).predict(task, RNG)
-    np.testing.assert_allclose(predicted - line, kept * (unseen.active.q - line), atol=1e-9)
-
-
-def test_the_ends_stay_where_the_person_is() -> None:
-    predictor = learn_bow([recording(seed) for seed in range(3)], MODEL)
-    task = ReachTask.of(recording(5))
-    np.testing.assert_allclose(predictor.predict(task, RNG)[[0, -1]], [task.start, task.goal], atol=1e-12)
-
-
-def test_who_jumps_is_not_learned_from() -> None:
-    jumping = dataclasses.replace(bowed(1.0, np.full(101, 9.0)), jumps=(Jump("active", 50, "right_wrist", 7.0),))
-    with_it, without = (learn_bow(some, MODEL).shape for some in ([bowed(0.5), jumping], [bowed(0.5)]))
-    assert with_it is not None
-    np.testing.assert_array_equal(with_it, without)
-    with pytest.raises(MotionError, match="at least one recording"):
-        learn_bow([jumping], MODEL)
-
-
-def test_somebody_who_stays_is_not_learned_from() -> None:
-    with pytest.raises(MotionError, match="ends where it began"):
-        learn_bow([bowed(0.0, np.zeros(101))], MODEL)
