@@ -12,7 +12,6 @@ import re
 import shutil
 import subprocess
 import tempfile
-import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -44,13 +43,11 @@ GROWTH = {
 _GROWTH_ROUNDS = 3
 #: Plans per measurement of what is fast; single calls are at the mercy of whatever else the machine does.
 _CALLS = 3
-#: Where deadlines fall, as a share of the time a whole plan wants.
-_DEADLINES = (0.1, 0.5, 0.9)
 
 _YARDSTICK = Path("shared", "yardsticks", "cost_floor.cpp")
 _FLAGS = ("-O3", "-march=native", "-std=c++17", "-pthread")
 #: The variant that computes as ours does: float32, 32 configurations side by side.
-_LINE = r"^f32 W32\s+thr={threads}\b.*?\s([\d.]+) ns/lookup.*?([\d.]+) ms \(min ([\d.]+)\)"
+_LINE = r"^f32 W32\s+thr={threads}\b.*?\s([\d.]+) ns/lookup"
 #: Configurations of one run: enough for a steady figure in 0.3 s; it handles 64 at a time on two threads.
 _FLOOR_CONFIGURATIONS = 9600
 _COMPILER_LIMIT_S, _RUN_LIMIT_S = 120.0, 60.0
@@ -58,13 +55,9 @@ _COMPILER_LIMIT_S, _RUN_LIMIT_S = 120.0, 60.0
 #: Titles of the figures, by their keys in the JSON file; milliseconds where nothing else is said.
 _TITLES = {
     "ours_ms": "one goal",
-    "full_ms": "  nothing to skip",
     "floor_ms": "  C++ floor, as many lookups",
     "ns_per_lookup": "    one lookup, ns",
     "to_floor": "one goal / floor",
-    "best_to_floor": "  the best of each",
-    "full_to_floor": "  nothing to skip / floor",
-    "overrun_ms": "back after its deadline",
     "one_thread_ms": "all goals",
     "two_threads_ms": "all goals, two threads",
     "floor_two_threads_ms": "  C++ floor, two threads",
@@ -96,16 +89,14 @@ def measure(settings: PlannerBenchSettings, begin: Begin) -> Report:
     source, load, workload = find_yardstick(settings.yardstick), MachineLoad(), settings.part(Workload)
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(THREADS) as pool:
         yardstick = Yardstick.compiled(source, Path(folder))
-        world, full = bench_world(workload), bench_world(workload, skippable=False)
+        world = bench_world(workload)
         plan_one(world, 0)  # compiles, or loads what was compiled
         found: defaultdict[str, list[float]] = defaultdict(list)
         advance = begin("rounds", settings.rounds)
         for k in range(settings.rounds):
-            _round(found, k, world, full, yardstick, pool)
+            _round(found, k, world, yardstick, pool)
             advance(k + 1)
         growth = list(_growth(workload, yardstick, pool, begin)) if settings.growth else []
-    if found["least floor"]:
-        found["best_to_floor"].append(min(found["least ours"]) / min(found["least floor"]))
     figures = {key: Spread.of(found[key]) for key in _TITLES}
     facts = {"lookups": workload.lookups, **figures, "growth": growth, "published_ms": PUBLISHED_MS}
     return Report(
@@ -120,34 +111,21 @@ def measure(settings: PlannerBenchSettings, begin: Begin) -> Report:
 
 
 def _round(
-    found: dict[str, list[float]],
-    k: int,
-    world: BenchWorld,
-    full: BenchWorld,
-    yardstick: Yardstick,
-    pool: ThreadPoolExecutor,
+    found: dict[str, list[float]], k: int, world: BenchWorld, yardstick: Yardstick, pool: ThreadPoolExecutor
 ) -> None:
     """Measure everything once; goals take turns."""
-    workload, goals = world.workload, _goals_of_round(k, world.workload)
-    to_ms = 1e-6 * workload.lookups
-    floors = [yardstick.lookup(workload)]
-    for name, each in (("ours", world), ("full", full)):
-        durations = durations_ms(partial(plan_one, each), goals)
-        ours = float(np.median(durations))
-        found[f"{name}_ms"].append(ours)
-        found[f"least {name}"].append(min(durations))
-        floors.append(yardstick.lookup(workload))
-        before, after = floors[-2:]
-        if before is not None and after is not None:
-            floor = to_ms * (before.median_ns + after.median_ns) / 2.0
-            found["to_floor" if each is world else "full_to_floor"].append(ours / floor)
-            found["floor_ms"].append(floor)
-            found["least floor"].append(to_ms * min(before.least_ns, after.least_ns))
-            found["ns_per_lookup"].append(after.median_ns)
-            found["floor_two_threads_ms"].append(to_ms * workload.goals * after.two_threads_ns)
-            found["floor_speed_up"].append(after.median_ns / after.two_threads_ns)
-    for share in _DEADLINES:
-        found["overrun_ms"].extend(_overruns_ms(world, goals, share))
+    workload, to_ms = world.workload, 1e-6 * world.workload.lookups
+    before = yardstick.lookup(workload)
+    ours = float(np.median(durations_ms(partial(plan_one, world), _goals_of_round(k, workload))))
+    found["ours_ms"].append(ours)
+    after = yardstick.lookup(workload)
+    if before is not None and after is not None:
+        floor = to_ms * (before.median_ns + after.median_ns) / 2.0
+        found["to_floor"].append(ours / floor)
+        found["floor_ms"].append(floor)
+        found["ns_per_lookup"].append(after.median_ns)
+        found["floor_two_threads_ms"].append(to_ms * workload.goals * after.two_threads_ns)
+        found["floor_speed_up"].append(after.median_ns / after.two_threads_ns)
     one, two = _all_goals_ms(world, None), _all_goals_ms(world, pool)
     found["one_thread_ms"].append(one)
     found["two_threads_ms"].append(two)
@@ -199,15 +177,6 @@ def _all_goals_ms(world: BenchWorld, pool: ThreadPoolExecutor | None) -> float:
     return duration
 
 
-def _overruns_ms(world: BenchWorld, goals: Sequence[int], share: float) -> Iterator[float]:
-    """Give how long after their deadline plans come back, if it falls after a share of the time they want."""
-    wanted_s = 1e-3 * float(np.median(durations_ms(partial(plan_one, world), goals)))
-    for goal in goals:
-        end = time.perf_counter() + share * wanted_s
-        world.planner.plan(world.paths[goal], np.random.default_rng(goal), lambda end=end: time.perf_counter() >= end)  # type: ignore[misc]
-        yield 1e3 * (time.perf_counter() - end)
-
-
 def _goals_of_round(k: int, workload: Workload) -> list[int]:
     return [(_CALLS * k + i) % workload.goals for i in range(_CALLS)]
 
@@ -227,10 +196,9 @@ def find_yardstick(told: Path | None) -> Path | None:
 
 
 class Lookup(NamedTuple):
-    """Time of one lookup in a run of the yardstick, ns: median and least on one thread, median on two."""
+    """Time of one lookup in a run of the yardstick, ns: medians on one thread and on two."""
 
     median_ns: float
-    least_ns: float
     two_threads_ns: float
 
 
@@ -271,8 +239,7 @@ class Yardstick:
         one, two = (re.search(_LINE.format(threads=n), done.stdout, re.MULTILINE) for n in (1, 2))
         if done.returncode or one is None or two is None:
             raise UsageError(f"yardstick: wanted lines 'f32 W32 thr=1 ... ns/lookup', got {done.stdout!r:.300}")
-        median_ns, median_ms, least_ms = (float(text) for text in one.groups())
-        return Lookup(median_ns, median_ns * least_ms / median_ms, float(two[1]))
+        return Lookup(float(one[1]), float(two[1]))
 
 
 def _run(limit_s: float, *command: object) -> subprocess.CompletedProcess[str]:

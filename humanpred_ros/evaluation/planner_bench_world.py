@@ -2,7 +2,7 @@
 
 In an open scene most links are far from everything and the kernels skip them. A figure from there would say little
 about the cost of a lookup, so the bench's arm reaches into a shelf whose boards are near every link, through a ball of
-occupancy as in the C++ yardstick. A second world leaves nothing at all to skip.
+occupancy as in the C++ yardstick.
 """
 
 from __future__ import annotations
@@ -36,8 +36,6 @@ _BOARD_CENTRE_M, _BOARD_SIZE_M = (-0.1, -0.6), (1.6, 1.2)
 #: it is wide.
 _GRID_M, _RESOLUTION_M, _BALL_RADIUS_M = (80, 80, 80), 0.025, 0.35
 _BALL_IN_GRID_M, _BALL_STRETCH = np.array([1.2, 1.2, 1.1]), np.array([1.0, 1.0, 0.5])
-#: Where nothing is to be skipped, every voxel is a little occupied and no distance exceeds this, m.
-_HAZE, _NEAR_M = 1e-3, 0.05
 
 
 class Workload(Settings):
@@ -81,38 +79,31 @@ class BenchWorld:
     obstacle: ObstacleCost
 
 
-def bench_world(workload: Workload, *, skippable: bool = True) -> BenchWorld:
-    """Return the world of a workload.
-
-    Args:
-        workload: how much there is to plan.
-        skippable: False leaves nothing to skip: some occupancy in every voxel, something near everywhere.
-    """
-    scene, field, near_field = _surroundings()
+def bench_world(workload: Workload) -> BenchWorld:
+    """Return the world of a workload."""
+    scene, field = _surroundings()
     arm, chain = scene.arm, scene.arm.chain
     # All iterations are done, whether or not they still help.
     stomp = workload.part(StompConfig, patience=0)
     paths = tuple(straight(scene.start, goal, workload.waypoints) for goal in spread_goals(scene, workload.goals))
     middle = np.mean([chain.tool_pose(path[len(path) // 2])[:3, 3] for path in paths], axis=0)
-    occupancy = ball(middle, 0.0 if skippable else _HAZE)
+    occupancy = ball(middle)
     human = HumanOccupancyCost(chain, body_points(arm, workload.points), occupancy, stomp.human_weight)
     spheres = body_spheres(arm, workload.spheres)
-    obstacle = ObstacleCost(chain, spheres, field if skippable else near_field, stomp.obstacle_weight)
+    obstacle = ObstacleCost(chain, spheres, field, stomp.obstacle_weight)
     terms = (obstacle, human, SmoothnessCost(stomp.smoothness_weight))
     return BenchWorld(workload, StompPlanner(terms, chain.lower, chain.upper, stomp), paths, arm, human, obstacle)
 
 
 @cache
-def _surroundings() -> tuple[Scene, SignedDistanceField, SignedDistanceField]:
-    """Return the scene, the distances to the shelf, and the same distances, none of which exceeds `_NEAR_M`."""
+def _surroundings() -> tuple[Scene, SignedDistanceField]:
+    """Return the scene, and the distances to the shelf."""
     scene = load_scene(SCENE)
     faces_m = {"lower board": _LOWER_BOARD_M - _THICKNESS_M / 2.0, "upper board": _UPPER_BOARD_M + _THICKNESS_M / 2.0}
     size = np.array((*_BOARD_SIZE_M, _THICKNESS_M))
     boards = [Obstacle(name, Box(*size), planar_pose(*_BOARD_CENTRE_M, z)) for name, z in faces_m.items()]
     centre, radius = scene.arm.reach
-    shelf = build_distance_field(boards, centre - radius, centre + radius)
-    near = SignedDistanceField(shelf.origin_m, shelf.resolution_m, np.minimum(shelf.values, np.float32(_NEAR_M)))
-    return scene, shelf, near
+    return scene, build_distance_field(boards, centre - radius, centre + radius)
 
 
 def spread_goals(scene: Scene, count: int) -> tuple[FloatArray, ...]:
@@ -157,17 +148,12 @@ def body_spheres(arm: Arm, count: int) -> BodySpheres:
     return BodySpheres(np.array(link), np.array(centre), np.array(radius))
 
 
-def ball(centre_m: FloatArray, least: float = 0.0) -> Occupancy:
-    """Return the yardstick's ball of occupancy around `centre_m` (3,) in its cube of 2 m at 2.5 cm.
-
-    Args:
-        centre_m: world frame.
-        least: probability of every other voxel.
-    """
+def ball(centre_m: FloatArray) -> Occupancy:
+    """Return the yardstick's ball of occupancy around `centre_m` (3,), world frame, in its cube of 2 m at 2.5 cm."""
     origin = centre_m - _BALL_IN_GRID_M
     grid = VoxelGrid((float(origin[0]), float(origin[1]), float(origin[2])), _RESOLUTION_M, _GRID_M)
     offset = (grid.centres_m(np.arange(grid.size)) - centre_m) * _BALL_STRETCH
-    p = np.maximum(1.0 - np.linalg.norm(offset, axis=1) / _BALL_RADIUS_M, least)
+    p = np.maximum(1.0 - np.linalg.norm(offset, axis=1) / _BALL_RADIUS_M, 0.0)
     return Occupancy(grid, p.astype(np.float32).reshape(grid.shape))
 
 

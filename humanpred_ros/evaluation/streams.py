@@ -7,30 +7,30 @@ has learned from all other rounds: a stream holds many motions, none of which ma
 from __future__ import annotations
 
 import time
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from humanpred_ros.errors import LibraryFormatError
-from humanpred_ros.evaluation.framework import (
-    Advance,
-    Begin,
-    LibrarySettings,
-    Report,
-    chosen_names,
-)
+from humanpred_ros.evaluation.framework import Advance, Begin, LibrarySettings, Report, chosen_names
 from humanpred_ros.evaluation.leave_one_out import UpdateLog, answers
 from humanpred_ros.evaluation.outputs import library_facts
 from humanpred_ros.evaluation.parallel import map_processes
 from humanpred_ros.evaluation.recognition import ClassifierChoice, evaluated_names, given_known
 from humanpred_ros.evaluation.recognition_scores import advice_beside, decided_right
-from humanpred_ros.evaluation.standing import standing_noise
-from humanpred_ros.evaluation.stream_composed import Placed, Stream, StreamBuilder, returns_home, standing_stream
-from humanpred_ros.evaluation.stream_figures import (
+from humanpred_ros.evaluation.stream_composed import (
+    Placed,
+    Stream,
+    StreamBuilder,
+    returns_home,
+    standing_noise,
+    standing_stream,
+)
+from humanpred_ros.evaluation.stream_report import (
+    FALSE_STARTS,
     announcements,
     onset_figures,
     score_events,
@@ -39,7 +39,7 @@ from humanpred_ros.evaluation.stream_figures import (
 )
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel, human_with
-from humanpred_ros.motion.motion import Motion, MotionLibrary
+from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.onset import BodyPoints, MotionState, OnsetDetector, OnsetSettings
 from humanpred_ros.recognition.stream import StreamClassifier
@@ -49,24 +49,10 @@ from humanpred_ros.settings import setting
 _FLAGS = ("exclude", "suspect")
 #: Where in the recorded motion recognition is looked at.
 PERCENTS = (20, 40, 60, 80, 100)
-
-
-class Variant(NamedTuple):
-    """How a stream differs from the recordings."""
-
-    name: str  #: for tables
-    slower: float = 1.0  #: stamps are this many times as far apart
-    least_step_s: float = 0.0  #: frames sooner after the last one are dropped; 0 keeps all
-    mixed: bool = False  #: pauses have the noise of all rounds instead of this round's
-
-
-#: The first is the one that figures without a name are of.
-VARIANTS = (
-    Variant("as recorded"),
-    Variant("noise of all rounds mixed", mixed=True),
-    Variant("at 30 Hz", least_step_s=1.0 / 30.0),
-    Variant("done 1.5 times as slowly", slower=1.5),
-)
+#: How streams are shown: frames sooner after the last one than this are dropped, s. The first is the one that figures
+#: without a name are of.
+VARIANTS = {"as recorded": 0.0, "at 30 Hz": 1.0 / 30.0}
+RECORDED = next(iter(VARIANTS))
 
 
 class StreamSettings(LibrarySettings):
@@ -100,10 +86,10 @@ class StreamRuns:
             `variants`: by name, what `_onsets` returns; `detector_us`: (T,) time of each detector update on the stream
             as recorded; and what `_recognition` returns, nothing without a classifier.
         """
-        logs = [UpdateLog() for _ in VARIANTS]
-        variants = {v.name: self._onsets(index, v, log) for v, log in zip(VARIANTS, logs, strict=True)}
+        logs = {name: UpdateLog() for name in VARIANTS}
+        variants = {name: self._onsets(index, name, log) for name, log in logs.items()}
         recognition = {} if self.settings.classifier == "none" else self._recognition(index)
-        return {"variants": variants, "detector_us": 1e-3 * np.array(logs[0].update_ns), **recognition}
+        return {"variants": variants, "detector_us": 1e-3 * np.array(logs[RECORDED].update_ns), **recognition}
 
     @cached_property
     def human(self) -> HumanModel:
@@ -113,28 +99,27 @@ class StreamRuns:
     def come_back(self) -> bool:
         return returns_home(self.library, self.human)
 
-    def streams(self, index: int, variant: Variant) -> tuple[Stream, Stream]:
+    def streams(self, index: int, variant: str) -> tuple[Stream, Stream]:
         """Return the stream of one round, and one of standing, in one variant."""
         rng = np.random.default_rng((self.settings.seed, index))
-        motions = [_slower(motion, variant.slower) for motion in self.library if motion.index == index]
+        motions = [motion for motion in self.library if motion.index == index]
         motions = [motions[k] for k in rng.permutation(len(motions))]
         # Of every other round, this one among them: what settings were chosen on stays apart.
-        half = [_slower(motion, variant.slower) for motion in self.library if (motion.index - index) % 2 == 0]
+        half = [motion for motion in self.library if (motion.index - index) % 2 == 0]
         try:
             noise = standing_noise(half, self.human)
         except LibraryFormatError:
             noise = standing_noise(self.library.motions, self.human)
-        if not variant.mixed:
-            noise = noise.near(index)
+        noise = noise.near(index)
         made = StreamBuilder(self.human, noise, rng, self.come_back).build(motions)
         # The most usual of the round's starts: one of them may be mistracked.
         starts = np.stack([motion.q[0] for motion in motions])
         start = starts[np.abs(starts - np.median(starts, axis=0)).sum(axis=1).argmin()]
         standing_s = 60.0 * self.settings.standing / len({motion.index for motion in self.library})
         standing = standing_stream(start, standing_s, noise, rng)
-        return _thinned(made, variant.least_step_s), _thinned(standing, variant.least_step_s)
+        return _thinned(made, VARIANTS[variant]), _thinned(standing, VARIANTS[variant])
 
-    def _onsets(self, index: int, variant: Variant, log: UpdateLog) -> dict[str, Any]:
+    def _onsets(self, index: int, variant: str, log: UpdateLog) -> dict[str, Any]:
         """Return `scores` and `false_starts` of `score_events`, durations, and onsets while standing."""
         made, standing = self.streams(index, variant)
         scores, false_starts = score_events(made.placed, announcements(self._states(made, log)))
@@ -166,7 +151,7 @@ class StreamRuns:
         """
         rest = self.library.select(lambda motion: motion.index != index)
         classifier = StreamClassifier(ClassifierChoice(self.settings.classifier).make(self.human)).fit(rest)
-        made, _ = self.streams(index, VARIANTS[0])
+        made, _ = self.streams(index, RECORDED)
         log = UpdateLog()
         known = np.array([given_known(said, rest.labels) for said in answers(classifier, made.q, made.t_s, log)])
         recognised = []
@@ -192,10 +177,6 @@ def _frames_at(t_s: FloatArray, placed: Placed) -> list[int]:
     first = int(np.searchsorted(t_s, placed.start_s - 1e-9))
     n = int(np.searchsorted(t_s, placed.stop_s + 1e-9)) - first
     return [first + n * percent // 100 - 1 for percent in PERCENTS]
-
-
-def _slower(motion: Motion, factor: float) -> Motion:
-    return motion if factor == 1.0 else replace(motion, t_s=motion.t_s * factor)
 
 
 def _thinned(shown: Stream, least_step_s: float) -> Stream:
@@ -229,7 +210,7 @@ def evaluate_streams(
 
         - `variants`, the first as recorded: `onset_figures` by group of recorded motions (None of empty ones), and of
           the returns that were `made`; `false_starts` (`score_events`) and duration of all streams; onsets announced
-          while the person only stood and the duration of that, by rounds, and what that is in ten minutes;
+          while the person only stood, the duration of that, and what that is in ten minutes;
         - `recognition`: share of motions recognised at each of `percents`, in the stream and each alone, by group, and
           postures refused; None without a classifier;
         - `motions`: of each recorded motion in the streams as recorded, what was announced (`score_events`);
@@ -243,21 +224,13 @@ def evaluate_streams(
     begun = time.perf_counter()
     rounds = check_rounds(library)
     found = map_processes(StreamRuns(library, settings), rounds, settings.jobs, progress, settings.scheduler)
-    outcomes = dict(zip(rounds, found, strict=True))
-    names = {motion.name: motion.index for motion in library}
-    groups: dict[str, Callable[[str], bool]] = {
-        "all": lambda name: True,
-        "even rounds": lambda name: names[name] % 2 == 0,
-        "odd rounds": lambda name: names[name] % 2 == 1,
-        "not flagged": lambda name: name not in flagged,
-        "not flagged, odd rounds": lambda name: name not in flagged and names[name] % 2 == 1,
-        "flagged": lambda name: name in flagged,
-    }
+    names = {motion.name for motion in library}
+    groups = {"all": names} | ({"not flagged": names - flagged, "flagged": names & flagged} if flagged else {})
     timed = settings.classifier != "none"
     stream_us = np.concatenate([outcome["stream_us"] for outcome in found]) if timed else np.zeros(0)
-    recorded = [outcome["variants"][VARIANTS[0].name]["scores"] for outcome in found]
+    recorded = [outcome["variants"][RECORDED]["scores"] for outcome in found]
     return {
-        "variants": [_variant(variant.name, outcomes, groups, settings.tolerance) for variant in VARIANTS],
+        "variants": [_variant(name, found, groups, settings.tolerance) for name in VARIANTS],
         "recognition": _recognition(found, groups) if timed else None,
         "motions": [score for scores in recorded for score in scores if not score["made"]],
         "detector_us": np.percentile(np.concatenate([outcome["detector_us"] for outcome in found]), [50, 99]).tolist(),
@@ -284,43 +257,32 @@ def check_rounds(library: MotionLibrary) -> list[int]:
 
 
 def _variant(
-    name: str,
-    outcomes: Mapping[int, dict[str, Any]],
-    groups: Mapping[str, Callable[[str], bool]],
-    tolerance_s: float,
+    name: str, found: Sequence[dict[str, Any]], groups: Mapping[str, set[str]], tolerance_s: float
 ) -> dict[str, Any]:
-    found = {index: outcome["variants"][name] for index, outcome in outcomes.items()}
-    scores = [score for outcome in found.values() for score in outcome["scores"]]
-    recorded = [score for score in scores if not score["made"]]
-    halves = {"all": (0, 1), "even rounds": (0,), "odd rounds": (1,)}
-    starts, standing_s = (
-        {
-            half: sum(outcome[key] for index, outcome in found.items() if index % 2 in parities)
-            for half, parities in halves.items()
-        }
-        for key in ("standing_starts", "standing_s")
+    outcomes = [outcome["variants"][name] for outcome in found]
+    scores = [score for outcome in outcomes for score in outcome["scores"]]
+    parts = {
+        group: [score for score in scores if not score["made"] and score["name"] in names]
+        for group, names in groups.items()
+    }
+    starts, standing_s, streams_s = (
+        sum(outcome[key] for outcome in outcomes) for key in ("standing_starts", "standing_s", "stream_s")
     )
-    false_starts = Counter(recorded_rest=0, after_motion=0, pause=0)
-    for outcome in found.values():
-        false_starts.update(outcome["false_starts"])
     return {
         "name": name,
-        "groups": {
-            group: onset_figures([score for score in recorded if belongs(score["name"])], tolerance_s)
-            for group, belongs in groups.items()
-        },
+        "groups": {group: onset_figures(some, tolerance_s) for group, some in parts.items()},
         "made": onset_figures([score for score in scores if score["made"]], tolerance_s),
-        "false_starts": false_starts,
-        "streams_s": sum(outcome["stream_s"] for outcome in found.values()),
+        "false_starts": {what: sum(outcome["false_starts"][what] for outcome in outcomes) for what in FALSE_STARTS},
+        "streams_s": streams_s,
         "standing_starts": starts,
         "standing_s": standing_s,
-        "false_starts_per_ten_minutes": {half: 600.0 * starts[half] / s for half, s in standing_s.items() if s > 0},
+        "false_starts_per_ten_minutes": 600.0 * starts / standing_s,
     }
 
 
-def _recognition(found: Sequence[dict[str, Any]], groups: Mapping[str, Callable[[str], bool]]) -> dict[str, Any]:
+def _recognition(found: Sequence[dict[str, Any]], groups: Mapping[str, set[str]]) -> dict[str, Any]:
     recognised = [one for outcome in found for one in outcome["recognised"]]
-    members = {group: [one for one in recognised if belongs(one[0])] for group, belongs in groups.items()}
+    members = {group: [one for one in recognised if one[0] in names] for group, names in groups.items()}
     filled = {group: chosen for group, chosen in members.items() if chosen}
     in_stream, alone = (
         {group: np.mean([one[which] for one in chosen], axis=0) for group, chosen in filled.items()} for which in (1, 2)
@@ -346,7 +308,7 @@ def measure(settings: StreamSettings, begin: Begin) -> Report:
     found = evaluate_streams(library, settings, flagged=flagged, progress=advance)
     return Report(
         f"{library.name}: motions in streams with pauses, {found['variants'][0]['streams_s'] / 60:.0f} min",
-        stream_tables(found, settings.classifier, settings.tolerance),
+        tuple(stream_tables(found, settings.classifier, settings.tolerance)),
         {"library": library_facts(library), "onset": OnsetSettings(), "flagged": sorted(flagged), **found},
         draw=lambda: stream_plot(found),
     )

@@ -11,8 +11,17 @@ from hypothesis import strategies as st
 from small_library import DOF_NAMES, REST, small_library
 
 from humanpred_ros.errors import LibraryFormatError, MotionError, UsageError
-from humanpred_ros.evaluation.standing import StandingNoise, median_slope, motion_span, palm_speed, standing_noise
-from humanpred_ros.evaluation.stream_composed import Stream, StreamBuilder, returns_home, standing_stream
+from humanpred_ros.evaluation.stream_composed import (
+    StandingNoise,
+    Stream,
+    StreamBuilder,
+    median_slope,
+    motion_span,
+    palm_speed,
+    returns_home,
+    standing_noise,
+    standing_stream,
+)
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from humanpred_ros.evaluation.stream_composed import Placed
-from humanpred_ros.evaluation.stream_figures import announcements, onset_figures, score_events
+from humanpred_ros.evaluation.stream_report import announcements, onset_figures, score_events
 from humanpred_ros.recognition.onset import MotionState
 
 PLACED = (

@@ -6,7 +6,7 @@ The figures are returned by name, as they stand in the JSON file of `humanpred e
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,8 @@ from humanpred_ros.evaluation.stream_composed import Placed
 from humanpred_ros.recognition.onset import MotionState
 from humanpred_ros.viewing.figures import DASHES, MARKERS, SERIES, new_figure, note
 
+#: Where onsets of no motion are announced, and how tables call it.
+FALSE_STARTS = {"recorded_rest": "in recorded rest", "after_motion": "after motions", "pause": "in pauses"}
 #: An announcement up to this long before what it announces still counts as one of it.
 EARLY_S = 0.2
 #: An end announced no earlier than this before the true one is it; before, it splits the motion in two.
@@ -111,75 +113,70 @@ def onset_figures(scores: Sequence[dict[str, Any]], tolerance_s: float) -> dict[
     }
 
 
-def stream_tables(found: Mapping[str, Any], classifier: str, tolerance_s: float) -> list[Table]:
-    """Return the tables of an evaluation of streams.
+def stream_tables(found: Mapping[str, Any], classifier: str, tolerance_s: float) -> Iterator[Table]:
+    """Yield the tables of an evaluation of streams.
 
     Args:
         found: its figures (`evaluate_streams`).
         classifier: its name.
         tolerance_s: an onset announced within this of the true one is in time.
     """
-    recorded = found["variants"][0]
-    within = f"within {tolerance_s:g} s"
-    groups = [{"name": name, **of} for name, of in recorded["groups"].items() if of is not None]
-    if recorded["made"] is not None:
-        groups.append({"name": "returns (made)", **recorded["made"]})
-    late = [
-        [
-            Column(f"{what} late by, median", f"{what}_delay_s/0", "+.2f", "s"),
-            Column(f"{what} late by, 95 %", f"{what}_delay_s/1", "+.2f", "s"),
-            Column(f"{what} off by, 5 %", f"{what}_error_s/0", "+.2f", "s"),
-            Column(f"{what} off by, median", f"{what}_error_s/1", "+.2f", "s"),
-            Column(f"{what} off by, 95 %", f"{what}_error_s/2", "+.2f", "s"),
+    rows = [
+        {"name": f"{variant['name']}, {group}", **figures}
+        for variant in found["variants"]
+        for group, figures in (*variant["groups"].items(), ("returns (made)", variant["made"]))
+        if figures is not None
+    ]
+    late = {
+        what: [
+            Column(f"{what} {word}", f"{what}_{key}", "+.2f", "s")
+            for word, key in (
+                ("late by, median", "delay_s/0"), ("late by, 95 %", "delay_s/1"),
+                ("off by, 5 %", "error_s/0"), ("off by, median", "error_s/1"), ("off by, 95 %", "error_s/2"),
+            )
         ]
         for what in ("onset", "end")
-    ]
-    of_groups = (
-        Column("motions", "name"),
-        Column("number", "n_motions"),
-        Column(f"onsets announced {within}", "in_time", ".1%"),
-        Column("onsets missed", "missed"),
-        *late[0],
-        Column("ends announced before the next", "ends_found", ".1%"),
-        *late[1],
-        Column("announced again during the motion", "split"),
+    }  # fmt: skip
+    yield Table(
+        "Motions in the streams",
+        rows,
+        (
+            Column("streams, motions", "name"),
+            Column("number", "n_motions"),
+            Column(f"onsets announced within {tolerance_s:g} s", "in_time", ".1%"),
+            Column("onsets missed", "missed"),
+            *late["onset"],
+            Column("ends announced before the next", "ends_found", ".1%"),
+            *late["end"],
+            Column("announced again during the motion", "split"),
+        ),
+        "Late by: the announcement after the true time. Off by: the announced time less the true one.",
     )
-    of_variants = (
-        Column("streams", "name"),
-        Column(within, "groups/all/in_time", ".1%"),
-        Column(f"{within}, odd rounds", "groups/odd rounds/in_time", ".1%"),
-        Column("missed", "groups/all/missed", "d"),
-        Column("late by, median", "groups/all/onset_delay_s/0", "+.2f", "s"),
-        Column("late by, 95 %", "groups/all/onset_delay_s/1", "+.2f", "s"),
-        Column("starts in recorded rest", "false_starts/recorded_rest", "d"),
-        Column("after motions", "false_starts/after_motion", "d"),
-        Column("in pauses", "false_starts/pause", "d"),
-        Column("standing, per 10 min", "false_starts_per_ten_minutes/all", ".2f"),
-        Column("standing, odd rounds", lambda v: v["false_starts_per_ten_minutes"].get("odd rounds"), ".2f"),
+    yield Table(
+        "False starts: onsets announced when no motion was under way",
+        found["variants"],
+        (
+            Column("streams", "name"),
+            *(Column(title, f"false_starts/{key}", "d") for key, title in FALSE_STARTS.items()),
+            Column("standing, per 10 min", "false_starts_per_ten_minutes", ".2f"),
+        ),
     )
-    note_of_groups = "Late by: the announcement after the true time. Off by: the announced time less the true one."
-    note_of_variants = "False starts: onsets announced when no motion was under way."
-    tables = [
-        Table("As recorded", groups, of_groups, note_of_groups),
-        Table("Streams that differ from the recordings", found["variants"], of_variants, note_of_variants),
-    ]
     recognition = found["recognition"]
     if recognition is not None:
         columns = [Column("motions", "name"), Column("number", "n_motions", "d")]
         for k, percent in enumerate(recognition["percents"]):
             columns.append(Column(f"at {percent} %, in the stream", f"in_stream/{k}", ".3f"))
             columns.append(Column(f"at {percent} %, alone", f"alone/{k}", ".3f"))
-        rows = [
+        groups = [
             {"name": group, **{key: recognition[key][group] for key in ("n_motions", "in_stream", "alone")}}
             for group in recognition["n_motions"]
         ]
-        tables.append(Table(f"{classifier}: share recognised, by part of the motion seen", rows, columns))
+        yield Table(f"{classifier}: share recognised, by part of the motion seen", groups, columns)
     times = [("detection", *found["detector_us"], None)]
     if found["stream_us"] is not None:
         times.append(("with the classifier", *found["stream_us"], found["most_us"]))
     heads = ("one posture", ("median", ".0f", "µs"), ("99 % below", ".0f", "µs"), ("longest", ".0f", "µs"))
-    tables.append(Table.of_rows("Times", heads, times, f"This evaluation took {found['wall_s']:.0f} s."))
-    return tables
+    yield Table.of_rows("Times", heads, times, f"This evaluation took {found['wall_s']:.0f} s.")
 
 
 def stream_plot(found: Mapping[str, Any]) -> Figure:
