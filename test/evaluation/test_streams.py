@@ -47,7 +47,7 @@ def test_streams_are_evaluated_written_and_drawn(library: Path, tmp_path: Path, 
     assert f"{100 * recorded['groups']['all']['in_time']:.1f} %" in text.getvalue()
     assert f"{recorded['false_starts_per_ten_minutes']:.2f}" in text.getvalue()
     assert found["recognition"]["n_motions"]["all"] == 9
-    assert recorded["standing_s"] == pytest.approx(120.0, rel=0.1)
+    assert recorded["standing_s"] == pytest.approx(60.0, rel=0.1)
     assert plot.stat().st_size > 0
 
 
