@@ -50,6 +50,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "bench graph": ("evaluation.graph_bench:measure", "posture to trajectory over DDS at 30 Hz, per number of goals"),
     "bench link": ("evaluation.link_bench:measure", "predictor and planner on two hosts, over a link that loses"),
     "bench tracker": ("nodes.tracker_bench:run", "how long a body tracker's points take to become a posture"),
+    "bench view": ("evaluation.view_bench:measure", "frames a second of the live view, and what it costs the nodes"),
     "bench soak": ("nodes.soak_bench:run", "how the running graph holds out, with a fault now and then"),
     "bench faults": ("nodes.fault_bench:run", "what the running graph does when something goes wrong, fault by fault"),
     "bench fuzz": ("evaluation.fuzz_files:run", "damaged files of every kind, and damaged messages to every node"),

@@ -12,6 +12,8 @@ import json
 import re
 import shutil
 import threading
+import time
+import webbrowser
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
@@ -29,8 +31,10 @@ from humanpred_ros.evaluation.processes import (
     NodeGroup,
     NodeProcess,
     ParameterValue,
+    address_of,
     chosen_domain_id,
     in_one_process,
+    view_command,
 )
 from humanpred_ros.human.model import human_with, name_of_human
 from humanpred_ros.motion.bag_library import write_library_bag
@@ -49,6 +53,7 @@ _LOG_LINE = re.compile(r"^\[\w+\] \[[\d.]+\] \[stomp_planner\]: (.*)$")
 _TRACKER = "skeleton_tracker_replay"
 #: Named wherever something is sent: a recorder that is not yet matched would miss the first of it.
 _RECORDER = "run_recorder"
+_LOOK_LIMIT_S = 30.0
 _PEERS = ("occupancy_predictor", "stomp_planner", "simulated_arm", _RECORDER)
 
 
@@ -83,6 +88,7 @@ class DemoSettings(Settings):
         high=20.0,
         bare=1.0,
     )
+    view: bool = setting(False, "show it in 3D in a browser; waits until the browser has come, or half a minute")
     out: str | None = setting(None, "folder of the run; none: a new one below runs/")
 
     @property
@@ -186,6 +192,8 @@ def _start(
         group.start(ONE_PROCESS, in_one_process(planner, predictor))
     else:
         group.start("occupancy_predictor", predictor)
+    if settings.view:
+        _show(group, console, "--scene", settings.scene, "--human", name_of_human(motion.dof_names))
     replayed = MotionLibrary(f"motion_{motion.name.replace('/', '_')}", (motion,), library.provenance)
     group.start(
         _TRACKER,
@@ -210,6 +218,22 @@ def _start(
         f"{scene.name}: motion {motion.name} of {library.name}, {motion.duration_s:.2f} s; "
         f"goals {', '.join(goal.name for goal in scene.goals)}; run folder {folder}"
     )
+
+
+def _show(group: NodeGroup, console: Console, *arguments: str) -> None:
+    """Open a live view, and wait until somebody looks at it, for some time."""
+    from humanpred_ros.viewing.space import LOOKED_AT
+
+    view = group.run("view", view_command(*arguments))
+    told, until_s = "", time.monotonic() + _LOOK_LIMIT_S
+    with console.status("opening the view"):
+        while LOOKED_AT not in view.tail() and time.monotonic() < until_s:
+            group.check()
+            if not told and (told := address_of(view)):
+                console.print(f"open {told} in a browser", highlight=False)
+                webbrowser.open(told)
+                until_s = time.monotonic() + _LOOK_LIMIT_S
+            time.sleep(0.1)
 
 
 def _model(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -113,6 +114,10 @@ class NodeGroup:
             command += ["-p", f"{name}:={_yaml(value)}"]
         for name, other in (remap or {}).items():
             command += ["-r", f"{name}:={other}"]
+        return self.run(node, command)
+
+    def run(self, node: str, command: Sequence[str]) -> NodeProcess:
+        """Start a command as a process of the group."""
         self.log_directory.mkdir(parents=True, exist_ok=True)
         before = sum(entry.name == node for entry in self.nodes)
         log = self.log_directory / (f"{node}_{before + 1}.log" if before else f"{node}.log")
@@ -297,3 +302,14 @@ def _yaml(value: ParameterValue) -> str:
     if isinstance(value, int | float):
         return repr(value)
     return "[" + ", ".join(_yaml(item) for item in value) + "]"
+
+
+def view_command(*arguments: str) -> list[str]:
+    """Return the command of a live view of the running graph."""
+    return [sys.executable, "-m", "humanpred_ros.cli", "view", "live", *arguments]
+
+
+def address_of(view: NodeProcess) -> str:
+    """Return the address at which a live view is open; empty if it is not yet."""
+    found = re.search(r"open (http://\S+)", view.log.read_text(encoding="utf-8", errors="replace"))
+    return found[1] if found else ""

@@ -17,6 +17,7 @@ from typing import Any, cast
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
+from rclpy.context import Context
 from rclpy.exceptions import InvalidNamespaceException, InvalidTopicNameException, NameValidationException
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.expand_topic_name import expand_topic_name
@@ -325,7 +326,7 @@ def run_nodes(make_nodes: Callable[[], list[GraphNode]], arguments: list[str] | 
         for node in reversed(nodes):
             if not node.managed:
                 node.start()
-        executors = [_executor() for _ in nodes]  # all before one of them works: it may wake another
+        executors = [new_executor() for _ in nodes]  # all before one of them works: it may wake another
         for node, executor in zip(nodes, executors, strict=True):
             executor.add_node(node)
         own, *others = zip(nodes, executors, strict=True)
@@ -361,13 +362,13 @@ def run_nodes(make_nodes: Callable[[], list[GraphNode]], arguments: list[str] | 
     return 0
 
 
-def _executor() -> Executor:
+def new_executor(context: Context | None = None) -> Executor:
     """Return rclpy's executor of events where there is one: its nodes need a third of the processor's time."""
     try:
         from rclpy.experimental import EventsExecutor
     except ImportError:
-        return SingleThreadedExecutor()
-    executor: Executor = EventsExecutor()
+        return SingleThreadedExecutor(context=context)
+    executor: Executor = EventsExecutor(context=context)
     return executor
 
 

@@ -5,37 +5,54 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Collection
+from functools import partial
 from typing import Any
 
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rich.console import Console
 from sensor_msgs.msg import CompressedImage, JointState, PointCloud2
 from std_msgs.msg import Int16, String
+from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import MarkerArray
 
 from humanpred_ros import topics
 from humanpred_ros.errors import HumanPredError, UsageError
 from humanpred_ros.human.model import HumanModel, human_named
 from humanpred_ros.nodes import conversions, qos
-from humanpred_ros.nodes.base import check_namespace
+from humanpred_ros.nodes.base import check_namespace, new_executor
 from humanpred_ros.robot.scene import Scene, load_scene
 from humanpred_ros.settings import setting
 from humanpred_ros.viewing import recorded
-from humanpred_ros.viewing.space import ServerSettings, SpaceMoment, SpaceView, served
+from humanpred_ros.viewing.space import (
+    CANDIDATES,
+    FUTURES,
+    LOOKED_AT,
+    ROLLOUTS,
+    ServerSettings,
+    SpaceMoment,
+    SpaceView,
+    as_text,
+    served,
+)
 
 _FRAME_S = 1.0 / 15.0
 #: What has not come for so long is not shown any more, s.
-_FORGOTTEN_S = 1.0
+_FORGOTTEN_S = 2.0
 _LOOK_PERIOD_S = 0.5
 _ASKED_S = 5.0
 _PATH_POINTS = 30
+#: Layers that nodes draw only while somebody listens.
+_DRAWN = {CANDIDATES: topics.CANDIDATES, FUTURES: topics.FUTURES, ROLLOUTS: topics.ROLLOUTS}
+_GUARD = topics.GUARD_STOP.partition("/")[0]
 
 
 class LiveViewSettings(ServerSettings):
@@ -43,6 +60,7 @@ class LiveViewSettings(ServerSettings):
 
     scene: str = setting("", "scene name in config/scenes, or a YAML file; empty: the running planner's")
     human: str = setting("kinect12", "whose postures come: kinect12 or mocap23")
+    operate: bool = setting(False, "let whoever sees the page pause the planner, and enable and disable its tasks")
     namespace: str = setting("", "of the robot, as /robot1")
 
 
@@ -54,11 +72,12 @@ class Graph:
         self._names = scene.arm.chain.joint_names
         self._came: dict[str, tuple[float, Any]] = {}
         self._subscriptions: dict[str, Any] = {}
+        self._data_s = 0.0  # stamp of the arm's last joint states
         #: What could not be read, by topic.
         self.troubles: dict[str, str] = {}
 
-    def look(self, looked_at: bool) -> None:
-        """Subscribe to what there is, or to nothing while nobody looks."""
+    def look(self, looked_at: bool, layers: Collection[str] = tuple(_DRAWN)) -> None:
+        """Subscribe to what there is, of lines those of some layers, or to nothing while nobody looks."""
         wanted: dict[str, tuple[type[Any], Callable[[Any], Any], QoSProfile]] = {}
         if looked_at:
             wanted = {
@@ -68,6 +87,8 @@ class Graph:
                 topics.DECISION: (DiagnosticArray, self._decision, qos.SENSOR_SUBSCRIBER),
                 topics.SPEED_FACTOR: (Int16, lambda message: int(message.data), qos.NEWEST_ONLY),
                 topics.GUARD_STOP: (String, lambda message: str(message.data), qos.COMMAND),
+                topics.DIAGNOSTICS: (DiagnosticArray, self._separation, qos.SENSOR_SUBSCRIBER),
+                **{_DRAWN[layer]: (MarkerArray, recorded.lines_of, qos.NEWEST_ONLY) for layer in layers},
                 **{topic: (JointState, self._posture, qos.NEWEST_ONLY) for topic in self._bodies()},
             }
             # Clouds are large, and published only while somebody listens to them.
@@ -89,21 +110,17 @@ class Graph:
         centres_m, probability = occupied if occupied is not None else (np.zeros((0, 3)), np.zeros(0))
         decision = fresh.get(topics.DECISION)
         q_goal = path = None
-        sent = self._came.get(topics.TRAJECTORY)
-        if sent is not None:
-            begin_s, track = sent[0], sent[1]
-            left = track.t_s[-1] - (now_s - begin_s) if len(track) else 0.0
-            if left > 0.0:
-                q_goal = track.q[-1]
-                times = np.linspace(track.t_s[-1] - left, track.t_s[-1], _PATH_POINTS)
-                path = self._scene.arm.chain.tool_pose(track.at(np.clip(times, track.t_s[0], None)))[:, :3, 3]
+        track = self._came.get(topics.TRAJECTORY, (0.0, None))[1]
+        if track is not None and len(track) and track.t_s[-1] > self._data_s:
+            q_goal = track.q[-1]
+            times = np.linspace(max(track.t_s[0], self._data_s), track.t_s[-1], _PATH_POINTS)
+            path = self._scene.arm.chain.tool_pose(track.at(times))[:, :3, 3]
         return SpaceMoment(
             q_arm=fresh.get(topics.JOINT_STATES),
             q_goal=q_goal,
             tool_path_m=path,
-            bodies=[
-                fresh[topic] for topic in sorted(fresh) if topic in set(self._bodies()) and fresh[topic] is not None
-            ],
+            bodies={topic.split("/")[-2]: fresh[topic] for topic in self._bodies() if topic in fresh},
+            lines={layer: fresh[topic] for layer, topic in _DRAWN.items() if topic in fresh},
             centres_m=centres_m,
             probability=probability,
             posterior=fresh.get(topics.HUMAN_GOALS, {}),
@@ -122,7 +139,9 @@ class Graph:
             parts.append(f"waiting for {', '.join(map(self._node.resolve_topic_name, missing))} on domain {domain}")
         if topics.SPEED_FACTOR in fresh:
             stop = fresh.get(topics.GUARD_STOP) or ""
-            parts.append(f"guard: {fresh[topics.SPEED_FACTOR]} % of the speed{f', {stop}' if stop else ''}")
+            apart = fresh.get(topics.DIAGNOSTICS, "")
+            said = "".join(f", {text}" for text in (apart, stop) if text)
+            parts.append(f"guard: {fresh[topics.SPEED_FACTOR]} % of the speed{said}")
         parts += [f"{topic}: {trouble}" for topic, trouble in self.troubles.items()]
         return "; ".join(parts)
 
@@ -148,18 +167,29 @@ class Graph:
 
     def _arm(self, message: JointState) -> Any:
         found = recorded.positions_of(message, self._names)
-        return None if found is None else found[0]
+        if found is None:
+            return None
+        self._data_s = 1e-9 * conversions.stamp_ns(message.header.stamp)
+        return found[0]
 
     def _posture(self, message: JointState) -> Any:
         found = recorded.positions_of(message, self._human.dof_names)
         return None if found is None else found[0]
 
     def _trajectory(self, message: JointTrajectory) -> recorded.JointTrack | None:
-        """Return a trajectory with times from when it came on."""
-        start_ns = conversions.stamp_ns(message.header.stamp)
-        now_ns = self._node.get_clock().now().nanoseconds
-        track = recorded.trajectory_of(message, now_ns if start_ns else 0)
+        """Return a trajectory in data time; one without a stamp begins when it comes."""
+        begun = conversions.stamp_ns(message.header.stamp)
+        track = recorded.trajectory_of(message, 0 if begun else -round(1e9 * self._data_s))
         return track if track.names == self._names else None
+
+    def _separation(self, message: DiagnosticArray) -> str | None:
+        """Return what the guard says of distances; other nodes' words, and other robots', are not meant."""
+        own = self._node.resolve_topic_name(_GUARD).lstrip("/")
+        for status in message.status:
+            told = {pair.key: pair.value for pair in status.values}
+            if status.name.lstrip("/") == own and "S_p_m" in told:
+                return f"{told['distance_m']} m apart, {told['S_p_m']} m needed"
+        return None
 
     def _decision(self, message: DiagnosticArray) -> recorded.RecordedDecision:
         return recorded.decision_of(message, 0.0, 0.0)
@@ -181,35 +211,95 @@ def run(settings: LiveViewSettings, console: Console) -> int:
     namespace = f"/{settings.namespace.lstrip('/')}"
     check_namespace(namespace)
     rclpy.init(args=[])
-    executor = SingleThreadedExecutor()
+    executor = new_executor()
     try:
         node = rclpy.create_node(f"humanpred_view_{os.getpid()}", namespace=namespace)
         executor.add_node(node)
         scene = load_scene(settings.scene or _planners_scene(node, executor))
         with served(settings, tell) as server:
-            show_graph(SpaceView(server, scene, human), Graph(node, scene, human), executor, threading.Event())
+            view = SpaceView(server, scene, human)
+            operator = Operator(node, view, scene) if settings.operate else None
+            show_graph(view, Graph(node, scene, human), executor, threading.Event(), tell, operator)
     finally:
         executor.shutdown()
         rclpy.try_shutdown()
     return 0
 
 
-def show_graph(view: SpaceView, graph: Graph, executor: SingleThreadedExecutor, ended: threading.Event) -> None:
+class Operator:
+    """Buttons of the page that call the planner's services."""
+
+    def __init__(self, node: Node, view: SpaceView, scene: Scene) -> None:
+        from humanpred_ros.nodes.operator_services import service_token  # takes a planner's imports
+
+        self._node, self._wanted = node, deque[tuple[str, Any]]()
+        gui, taken = view.server.gui, set[str]()
+        with gui.add_folder("planner", order=-1.5):
+            for name in ("pause", "resume"):
+                gui.add_button(name).on_click(partial(self._ask, name))
+            for goal in scene.goals:
+                token = service_token(goal.name, taken)
+                taken.add(token)
+                buttons = gui.add_button_group(goal.name, ("enable", "disable"))
+                buttons.on_click(partial(self._ask, f"tasks/{token}/enable"))
+            self._answer = gui.add_markdown("")
+
+    def _ask(self, name: str, event: Any) -> None:
+        value = getattr(event.target, "value", None)
+        self._wanted.append((name, value == "enable" if isinstance(value, str) else None))
+
+    def work(self) -> None:
+        """Call what was clicked; what the planner answers is shown."""
+        while self._wanted:
+            name, enabled = self._wanted.popleft()
+            kind = Trigger if enabled is None else SetBool
+            client = self._node.create_client(kind, f"{topics.PLANNER}/{name}")
+            if not client.service_is_ready() and not client.wait_for_service(_LOOK_PERIOD_S):
+                self._answer.content = as_text(f"nobody offers {self._node.resolve_service_name(client.srv_name)}")
+                self._node.destroy_client(client)
+                continue
+            request = Trigger.Request() if enabled is None else SetBool.Request(data=enabled)
+            client.call_async(request).add_done_callback(self._tell)
+
+    def _tell(self, answer: Any) -> None:
+        self._answer.content = as_text(answer.result().message)
+
+
+def show_graph(
+    view: SpaceView,
+    graph: Graph,
+    executor: Executor,
+    ended: threading.Event,
+    tell: Callable[[str], None],
+    operator: Operator | None = None,
+) -> None:
     """Draw what the graph says, 15 times a second while somebody looks, until told to end."""
+    gui = view.server.gui
+    with gui.add_folder("time", order=-1.0):
+        paused = gui.add_checkbox("pause", False)
+        step = gui.add_button("step")
+    steps = deque[None]()
+    step.on_click(lambda _: steps.append(None))
     looked_s = drawn_s = -np.inf
     while not ended.is_set():
         now_s = time.monotonic()
         looked_at = bool(view.server.get_clients())
         if now_s - looked_s >= _LOOK_PERIOD_S:
             looked_s = now_s
-            graph.look(looked_at)
+            graph.look(looked_at, [layer for layer in _DRAWN if view.shows(layer)])
         if looked_at and now_s - drawn_s >= _FRAME_S:
+            if drawn_s < 0.0:
+                tell(LOOKED_AT)
             drawn_s = now_s
-            view.show(graph.moment())
+            if not paused.value or steps:
+                view.show(graph.moment())
+            steps.clear()
+        if operator is not None:
+            operator.work()
         executor.spin_once(timeout_sec=_FRAME_S / 4 if looked_at else _LOOK_PERIOD_S)
 
 
-def _planners_scene(node: Node, executor: SingleThreadedExecutor) -> str:
+def _planners_scene(node: Node, executor: Executor) -> str:
     """Return the scene of the running planner.
 
     Raises:

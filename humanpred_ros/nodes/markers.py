@@ -72,6 +72,17 @@ def occupancy_markers(occupancy: Occupancy, stamp: Time) -> MarkerArray:
     return MarkerArray(markers=[marker])
 
 
+def future_markers(futures: Sequence[tuple[float, FloatArray]], stamp: Time) -> MarkerArray:
+    """Return one line per way (N, 3), world frame, that a hand may go, the more opaque the more probable it is."""
+    array, most = _only_these(), max((p for p, _ in futures), default=1.0)
+    for k, (p, way_m) in enumerate(futures):
+        colour = ColorRGBA(r=0.55, g=0.15, b=0.05, a=0.2 + 0.8 * float(p / most))
+        marker = _marker(Marker.LINE_STRIP, "futures", "world", stamp, 0.006, colour)
+        marker.id, marker.points = k, _points(way_m)
+        array.markers.append(marker)
+    return array
+
+
 def candidate_markers(paths: Sequence[tuple[str, FloatArray, bool]], stamp: Time) -> MarkerArray:
     """Return one line per candidate: (goal name, tool positions (N, 3) in the world, chosen)."""
     array = _only_these()

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState, PointCloud2
@@ -27,7 +28,7 @@ from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.frames import TrackerFrames, tf_lookup
 from humanpred_ros.nodes.lifecycle import NodeSettings
-from humanpred_ros.nodes.markers import occupancy_markers
+from humanpred_ros.nodes.markers import future_markers, occupancy_markers
 from humanpred_ros.nodes.occupancy_topics import OccupancyPublisher
 from humanpred_ros.nodes.parameters import declare, declare_plugin, plugin_parameters
 from humanpred_ros.occupancy.predictor import (
@@ -162,6 +163,7 @@ class OccupancyPredictorNode(GraphNode):
         self.occupancies = OccupancyPublisher(self, 1 if settings.lossless else settings.copies)
         self.goal_publisher = self.create_publisher(PointCloud2, topics.HUMAN_GOALS, qos.SENSOR_PUBLISHER)
         self.marker_publisher = self.create_publisher(MarkerArray, topics.OCCUPANCY_MARKERS, qos.MARKERS)
+        self.future_publisher = self.create_publisher(MarkerArray, topics.FUTURES, qos.MARKERS)
         self.grid_publisher = self.create_publisher(String, topics.VOXEL_GRID, qos.LATCHED)
         self.grid_publisher.publish(String(data=conversions.grid_description(scene.grid)))
         postures = topics.human_joint_states(settings.body_id)
@@ -301,9 +303,19 @@ class OccupancyPredictorNode(GraphNode):
         self.occupancies.publish(prediction.occupancy, self.settings.threshold, stamp_ns)
         self._publish_places(prediction, stamp_ns)
         self._look_for_warnings(q, stamp_ns)
-        if self.marker_publisher.get_subscription_count() and abs(stamp_ns - self.last_marker_ns) >= _MARKER_PERIOD_NS:
+        if abs(stamp_ns - self.last_marker_ns) >= _MARKER_PERIOD_NS:
             self.last_marker_ns = stamp_ns
-            self.marker_publisher.publish(occupancy_markers(prediction.occupancy, conversions.time_message(stamp_ns)))
+            self._draw(prediction, q, conversions.time_message(stamp_ns))
+
+    def _draw(self, prediction: Prediction, q: FloatArray, stamp: Time) -> None:
+        """Publish markers that somebody looks at."""
+        if self.marker_publisher.get_subscription_count():
+            self.marker_publisher.publish(occupancy_markers(prediction.occupancy, stamp))
+        futures = getattr(self.predictor, "futures", None)
+        if futures is not None and self.future_publisher.get_subscription_count():
+            T = self.T_world_human
+            ways = [(p, way_m @ T[:3, :3].T + T[:3, 3]) for p, way_m in futures(q)]
+            self.future_publisher.publish(future_markers(ways, stamp))
 
     def _say_unknown(self, reason: str, stamp_ns: int) -> None:
         """Tell whoever plans that nobody knows where people are, and why."""

@@ -100,7 +100,8 @@ class ForecastPredictor(Predictor):
         self._recogniser = forest if recogniser is None else recogniser
         self._voxels = FutureVoxels(forest.human, grid, T_world_human, self.settings)
         step_m = self.settings.step_voxels * grid.resolution_m
-        self._futures = RecordedFutures.of(forest.model.exemplars, forest.human, self._voxels.parts, step_m)
+        self._exemplars = forest.model.exemplars
+        self._futures = RecordedFutures.of(self._exemplars, forest.human, self._voxels.parts, step_m)
         # What is compiled or put in order at its first use is used here: the first posture must not wait for it.
         _ = forest.model.forest.leaf_members
         start = forest.model.exemplars.q[0]
@@ -126,6 +127,26 @@ class ForecastPredictor(Predictor):
         T_library_tracker = self._forest.alignment
         p = self._probability(q, T_library_tracker, chosen, probability)
         return Prediction(Occupancy(self.grid, p, t_s), posterior, T_library_tracker)
+
+    def futures(self, q: FloatArray) -> list[tuple[float, FloatArray]]:
+        """Return the ways that the hands of a person in posture (D,), updated with last, may go, for people to see.
+
+        Returns:
+            Of each future followed and each hand: probability, and places (N, 3) in m, tracker's frame.
+        """
+        exemplars, human = self._exemplars, self._forest.human
+        T, (chosen, probability) = self._forest.alignment, self._drawn(self._forest.exemplar_weights())
+        found = []
+        for e, p in zip(chosen, probability, strict=True):
+            end = exemplars.first[np.searchsorted(exemplars.first, e, side="right")]
+            begin = exemplars.first[np.searchsorted(exemplars.first, e, side="right") - 1]
+            left = np.exp(-np.arange(end - e) / (self.settings.fade * max(1, end - begin - 1)))
+            left = self.settings.kept + (1.0 - self.settings.kept) * left
+            then, now = human.forward(exemplars.q[e:end]), human.forward(q)
+            for hand in (name for name in then if name.endswith("_palm")):
+                aside = T[:3, :3] @ now[hand] + T[:3, 3] - then[hand][0]
+                found.append((float(p), (then[hand] + left[:, None] * aside - T[:3, 3]) @ T[:3, :3]))
+        return found
 
     def _drawn(self, weight: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
         futures, c = self._futures, self.settings

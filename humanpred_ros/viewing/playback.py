@@ -90,7 +90,7 @@ class Recording:
             q_arm=_row(run.robot, t_s),
             q_goal=q_goal,
             tool_path_m=path,
-            bodies=[q for q in (_row(run.postures, t_s),) if q is not None],
+            bodies={"": q} if (q := _row(run.postures, t_s)) is not None else {},
             posterior=self._posterior(t_s),
             decision=decision,
             centres_m=np.zeros((0, 3)) if occupancy is None else occupancy.centres_m,

@@ -24,6 +24,8 @@ from humanpred_ros.topics import COMPACT_OCCUPANCY, DECISION, VOXEL_GRID
 _NAN = float("nan")
 #: Probabilities travel as float32; what their sum lacks of 1 by rounding is far less than this.
 _ROUNDING = 1e-6
+#: Numbers of visualization_msgs/Marker.
+_ADD, _LINE_STRIP, _LINE_LIST = 0, 4, 5
 
 
 @dataclass(frozen=True)
@@ -233,6 +235,23 @@ def cloud_of(message: Any, *others: str) -> tuple[FloatArray, ...]:
     columns = point_cloud2_fields(message, ("x", "y", "z", *others))
     points = np.stack([columns[name].astype(np.float64) for name in ("x", "y", "z")], axis=1)
     return points, *(columns[name].astype(np.float64) for name in others)
+
+
+def lines_of(message: Any) -> tuple[FloatArray, FloatArray]:
+    """Return from where to where the lines of a MarkerArray go (N, 2, 3), as it places them, and their colours (N, 3).
+
+    What is transparent is paler. Markers that are no lines are left out.
+    """
+    ends, colours = [np.zeros((0, 2, 3))], [np.zeros((0, 3))]
+    for marker in message.markers:
+        points = np.array([(point.x, point.y, point.z) for point in marker.points]).reshape(-1, 3)
+        if marker.action == _ADD and marker.type in (_LINE_STRIP, _LINE_LIST) and len(points) > 1:
+            some = points[: len(points) // 2 * 2].reshape(-1, 2, 3)
+            ends.append(some if marker.type == _LINE_LIST else np.stack([points[:-1], points[1:]], axis=1))
+            colour = marker.color
+            shade = 1.0 - colour.a * (1.0 - np.array([colour.r, colour.g, colour.b]))
+            colours.append(np.tile(shade, (len(ends[-1]), 1)))
+    return np.concatenate(ends), np.concatenate(colours)
 
 
 def occupied_of(message: Any) -> tuple[FloatArray, FloatArray]:

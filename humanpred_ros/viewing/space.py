@@ -10,6 +10,7 @@ import contextlib
 import io
 import re
 import socket
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -20,11 +21,13 @@ from matplotlib.colors import to_rgb
 from humanpred_ros.errors import UsageError, printable
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
+from humanpred_ros.robot.clearance import SeparationMeter
 from humanpred_ros.robot.scene import Scene
 from humanpred_ros.settings import Settings, setting
 from humanpred_ros.viewing.figures import INK, goal_colours
 from humanpred_ros.viewing.plots_space import HUMAN, PROBABILITY, ROBOT, WOOD
 from humanpred_ros.viewing.recorded import RecordedDecision
+from humanpred_ros.viewing.strip import Sample, Strip
 
 if TYPE_CHECKING:
     import viser
@@ -39,12 +42,20 @@ _VIEWS: Mapping[str, tuple[float, float, float]] = {
     "person": (-1.6, 0.0, 1.3),
 }
 _FIRST_VIEW = "side"
+#: What a live view says when the first browser has come.
+LOOKED_AT = "somebody looks"
 #: Classes whose probability is shown, the most probable ones.
 _BARS = 4
 #: Voxels are drawn so much smaller than they are: one sees what is behind them.
 _SHRUNK = 0.4
 _FIRST_THRESHOLD = 0.2
-_LAYERS = ("robot", "going to", "people", "occupancy", "scene", "tasks")
+#: What can be shown, and whether it is at first: the last three cost the nodes that draw them time.
+CANDIDATES, FUTURES, ROLLOUTS = "candidate paths", "sampled futures", "noisy paths"
+_LAYERS = {
+    **dict.fromkeys(("robot", "going to", "people", "occupancy", "scene", "tasks", CANDIDATES, FUTURES), True),
+    ROLLOUTS: False,
+}
+_EVERYBODY = "everybody"
 _MARKUP = re.compile(r"([\\`*_{}\[\]()<>#+\-.!|~&])")
 
 
@@ -63,7 +74,9 @@ class SpaceMoment:
     q_arm: FloatArray | None = None  #: (J,) measured
     q_goal: FloatArray | None = None  #: (J,) where it is going
     tool_path_m: FloatArray | None = None  #: (N, 3) on which way
-    bodies: Sequence[FloatArray] = ()  #: (D,) postures, tracker's frame
+    bodies: Mapping[str, FloatArray] = field(default_factory=dict)  #: (D,) postures by body, tracker's frame
+    #: by layer, thin lines: from where to where (N, 2, 3), and their colours (N, 3), 0 to 1
+    lines: Mapping[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
     centres_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  #: (N, 3) of voxels
     probability: FloatArray = field(default_factory=lambda: np.zeros(0))  #: (N,) that they will be occupied
     posterior: Mapping[str, float] = field(default_factory=dict)  #: by class
@@ -128,36 +141,76 @@ class SpaceView:
         self.server, self._scene, self._human = server, scene, human
         self._colours = goal_colours([goal.name for goal in scene.goals])
         self._moving: dict[str, Any] = {}
+        self._links = [
+            np.concatenate([surface.triangles for surface in surfaces]) if surfaces else None
+            for surfaces in scene.arm.moving_surfaces()
+        ]
         self._drawn: tuple[object, object] = (None, None)
         self._last: SpaceMoment | None = None
         server.scene.set_up_direction("+z")
+        # Shadows and reflections cost three quarters of a frame where there is no graphics card.
+        server.scene.configure_default_lights(cast_shadow=False)
+        server.scene.configure_environment_map(None)
         self._draw_scene()
-        self._state = server.gui.add_markdown("", order=-2.0)
-        with server.gui.add_folder("the person reaches for"):
-            self._bars = [(server.gui.add_markdown(""), server.gui.add_progress_bar(0.0)) for _ in range(_BARS)]
-        with server.gui.add_folder("show"):
-            self._shown = {name: server.gui.add_checkbox(name, True) for name in _LAYERS}
-            self._threshold = server.gui.add_slider("occupancy from", 0.0, 1.0, 0.01, _FIRST_THRESHOLD)
-            views = server.gui.add_button_group("look from", tuple(_VIEWS))
-        for box in self._shown.values():
-            box.on_update(lambda _: self._again())
-        self._threshold.on_update(lambda _: self._again())
+        gui = server.gui
+        self._state = gui.add_markdown("", order=-2.0)
+        with gui.add_folder("the person reaches for"):
+            self._bars = [(gui.add_markdown(""), gui.add_progress_bar(0.0)) for _ in range(_BARS)]
+        with gui.add_folder("the last 30 s"):
+            self._strip = Strip(gui, lambda name: self._colours.get(name, ""))
+        with gui.add_folder("show"):
+            self._shown = {name: gui.add_checkbox(name, on) for name, on in _LAYERS.items()}
+            self._body = gui.add_dropdown("people", (_EVERYBODY,))
+            self._threshold = gui.add_slider("occupancy from", 0.0, 1.0, 0.01, _FIRST_THRESHOLD)
+            views = gui.add_button_group("look from", tuple(_VIEWS))
+        controls: list[Any] = [*self._shown.values(), self._threshold, self._body]
+        for control in controls:
+            control.on_update(lambda _: self._again())
         views.on_click(lambda event: self._look(event.client and event.client.camera, str(views.value)))
         self._look(server.initial_camera, _FIRST_VIEW)
+
+    def shows(self, layer: str) -> bool:
+        """Return whether a layer is switched on."""
+        return bool(self._shown[layer].value)
 
     def show(self, moment: SpaceMoment) -> None:
         """Draw what there is at a moment."""
         self._last = moment
-        shown = {name: box.value for name, box in self._shown.items()}
+        if set(moment.bodies) - set(self._body.options):
+            self._body.options = (*self._body.options, *sorted(set(moment.bodies) - set(self._body.options)))
+        chosen = self._body.value
+        bodies = [q for name, q in moment.bodies.items() if chosen in (_EVERYBODY, name)]
         with self.server.atomic():
-            self._arm("robot", moment.q_arm if shown["robot"] else None, _rgb(ROBOT), None)
-            self._arm("ghost", moment.q_goal if shown["going to"] else None, _rgb(ROBOT), _GHOST_OPACITY)
-            self._path(moment.tool_path_m if shown["going to"] else None)
-            self._people(moment.bodies if shown["people"] else ())
-            self._occupancy(moment, shown["occupancy"])
+            self._arm("robot", moment.q_arm if self.shows("robot") else None, _rgb(ROBOT), None)
+            self._arm("ghost", moment.q_goal if self.shows("going to") else None, _rgb(ROBOT), _GHOST_OPACITY)
+            path = moment.tool_path_m if self.shows("going to") else None
+            ends = np.zeros((0, 2, 3)) if path is None else np.stack([path[:-1], path[1:]], axis=1)
+            self._lines("path", ends, np.tile(to_rgb(INK), (len(ends), 1)), 0.006)
+            for layer in (CANDIDATES, FUTURES, ROLLOUTS):
+                ends, colours = moment.lines.get(layer, (np.zeros((0, 2, 3)), np.zeros((0, 3))))
+                kept = slice(None) if self.shows(layer) else slice(0)
+                self._lines(layer, ends[kept], colours[kept], 0.003)
+            self._people(bodies if self.shows("people") else ())
+            self._occupancy(moment, self.shows("occupancy"))
             for name in ("scene", "tasks"):
-                self._moving[name].visible = shown[name]
+                self._moving[name].visible = self.shows(name)
             self._say(moment)
+        self.recall(moment)
+        self._strip.draw(_time_of(moment))
+
+    def recall(self, moment: SpaceMoment) -> None:
+        """Keep what the charts of the last half minute show of a moment, without drawing it."""
+        if not self._strip.due(_time_of(moment)):
+            return
+        distance_m = np.nan
+        if moment.q_arm is not None and moment.bodies and self._human.bodies:
+            postures = np.array(list(moment.bodies.values()))
+            meter = SeparationMeter(self._scene.arm, self._human, self._scene.T_world_human, postures)
+            distance_m = float(meter.measure(np.tile(moment.q_arm, (len(postures), 1))).least_m)
+        decision = moment.decision
+        costs = {} if decision is None else {goal.name: goal.selection_cost for goal in decision.goals}
+        held = decision is not None and decision.action == "hold"
+        self._strip.add(Sample(_time_of(moment), moment.posterior, costs, distance_m, held))
 
     def _again(self) -> None:
         if self._last is not None:
@@ -196,33 +249,37 @@ class SpaceView:
             for key in [key for key in self._moving if key.startswith(f"/{name}/")]:
                 self._moving[key].visible = False
             return
-        for k, (T, surfaces) in enumerate(zip(arm.chain.link_poses(q), arm.moving_surfaces(), strict=True)):
-            if not surfaces:
-                continue
+        handles = []
+        for k, triangles in enumerate(self._links):
             key = f"/{name}/{k}"
-            if key not in self._moving:
-                triangles = np.concatenate([surface.triangles for surface in surfaces])
+            if triangles is not None and key not in self._moving:
                 self._moving[key] = _mesh(self.server.scene, key, triangles, colour, opacity)
-            _place(self._moving[key], T)
+            handles.append(self._moving.get(key))
+        _place(handles, arm.chain.link_poses(q))
 
-    def _path(self, path_m: FloatArray | None) -> None:
-        key = "/path"
-        if path_m is None or len(path_m) < 2:
-            if key in self._moving:
-                self._moving[key].visible = False
+    def _lines(self, name: str, ends: FloatArray, colours: FloatArray, thickness: float) -> None:
+        """Draw lines between ends (N, 2, 3) in colours (N, 3), none if there are none."""
+        key = f"/lines/{name.replace(' ', '_')}"
+        if not len(ends) and key not in self._moving:
             return
-        lines = np.stack([path_m[:-1], path_m[1:]], axis=1).astype(np.float32)
-        self._moving[key] = self.server.scene.add_line_segments(key, lines, _rgb(INK), thickness=0.006)
+        points, rgb = ends.astype(np.float32), np.repeat((255 * colours).astype(np.uint8)[:, None], 2, axis=1)
+        if key not in self._moving:
+            self._moving[key] = self.server.scene.add_line_segments(key, points, rgb, thickness=thickness)
+        handle = self._moving[key]
+        handle.visible = len(ends) > 0
+        if handle.visible:
+            handle.points, handle.colors = points, rgb
 
     def _people(self, bodies: Sequence[FloatArray]) -> None:
         kept = set()
         for n, q in enumerate(bodies):
-            for k, (body, T) in enumerate(zip(self._human.bodies, self._human.body_poses(q), strict=True)):
-                key = f"/people/{n}/{k}"
-                kept.add(key)
+            keys = [f"/people/{n}/{k}" for k in range(len(self._human.bodies))]
+            for key, body in zip(keys, self._human.bodies, strict=True):
                 if key not in self._moving:
                     self._moving[key] = _mesh(self.server.scene, key, body.shape.triangles(), _rgb(HUMAN))
-                _place(self._moving[key], self._scene.T_world_human @ T)
+            poses = self._scene.T_world_human @ np.asarray(self._human.body_poses(q))
+            _place([self._moving[key] for key in keys], poses)
+            kept.update(keys)
         for key in [key for key in self._moving if key.startswith("/people/") and key not in kept]:
             self._moving[key].visible = False
 
@@ -234,12 +291,13 @@ class SpaceView:
         kept = moment.probability >= max(self._threshold.value, 1e-6)
         points = moment.centres_m[kept] if shown else np.zeros((0, 3))
         colours = PROBABILITY(moment.probability[kept])[:, :3] if shown else np.zeros((0, 3))
+        points, colours = points.astype(np.float32), (255 * colours).astype(np.uint8)
+        if "occupancy" in self._moving:
+            self._moving["occupancy"].points, self._moving["occupancy"].colors = points, colours
+            return
+        size_m = _SHRUNK * self._scene.grid.resolution_m
         self._moving["occupancy"] = self.server.scene.add_point_cloud(
-            "/occupancy",
-            points.astype(np.float32),
-            (255 * colours).astype(np.uint8),
-            point_size=_SHRUNK * self._scene.grid.resolution_m,
-            precision="float32",
+            "/occupancy", points, colours, point_size=size_m, precision="float32"
         )
 
     def _say(self, moment: SpaceMoment) -> None:
@@ -249,6 +307,10 @@ class SpaceView:
         for (label, bar), (name, value) in zip(self._bars, likely + [("", 0.0)] * (_BARS - len(likely)), strict=True):
             label.content = f"{as_text(name)} {value:.0%}" if name else ""
             set_value(bar, 100.0 * value)
+
+
+def _time_of(moment: SpaceMoment) -> float:
+    return time.monotonic() if moment.t_s is None else moment.t_s
 
 
 def said(moment: SpaceMoment) -> str:
@@ -288,12 +350,15 @@ def _mesh(
     )
 
 
-def _place(handle: Any, T: FloatArray) -> None:
+def _place(handles: Sequence[Any], poses: Sequence[FloatArray] | FloatArray) -> None:
+    """Move what is drawn (None: nothing) to poses (N, 4, 4)."""
     from scipy.spatial.transform import Rotation
 
-    x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat()
-    handle.position, handle.wxyz = tuple(T[:3, 3]), (w, x, y, z)
-    handle.visible = True
+    T = np.asarray(poses)
+    turns = Rotation.from_matrix(T[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
+    for handle, place, turn in zip(handles, T[:, :3, 3], turns, strict=True):
+        if handle is not None:
+            handle.position, handle.wxyz, handle.visible = place, turn, True
 
 
 def set_value(control: Any, value: object) -> None:

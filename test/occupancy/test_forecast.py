@@ -243,3 +243,17 @@ def test_calibrated_and_far_better_than_the_present_on_the_papers_recordings() -
     assert error < 0.5 * present
     assert np.mean(missed) < 0.03
     assert calibration(table)["error_predicted"] < 0.05
+
+
+def test_ways_of_the_hands_begin_where_they_are_and_are_as_probable_as_the_futures() -> None:
+    motion, p = unseen(), predictor()
+    shown(p, motion, len(motion.q) // 2)
+    q = motion.q[len(motion.q) // 2 - 1]
+    now, ways = p._forest.human.forward(q), p.futures(q)
+    hands = [name for name in now if name.endswith("_palm")]
+    assert sum(probability for probability, _ in ways) == pytest.approx(len(hands))
+    begins = np.array([way[0] for _, way in ways]).reshape(-1, len(hands), 3)
+    np.testing.assert_allclose(begins, np.broadcast_to([now[hand] for hand in hands], begins.shape), atol=1e-9)
+    right = hands.index("right_palm")
+    farthest = max(float(np.linalg.norm(way[-1] - way[0])) for _, way in ways[right :: len(hands)])
+    assert farthest > 0.05

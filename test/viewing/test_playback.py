@@ -8,6 +8,7 @@ import threading
 import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,18 @@ from waiting import wait_until
 from humanpred_ros.errors import UsageError
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.viewing.playback import Player, Recording, replay_page
+from humanpred_ros.viewing.recorded import GoalPlan, RecordedDecision
 from humanpred_ros.viewing.run import Run
-from humanpred_ros.viewing.space import ServerSettings, SpaceMoment, SpaceView, as_text, served
+from humanpred_ros.viewing.space import (
+    CANDIDATES,
+    ROLLOUTS,
+    ServerSettings,
+    SpaceMoment,
+    SpaceView,
+    as_text,
+    served,
+    set_value,
+)
 from humanpred_ros.viewing.workcell import Workcell, load_workcell
 
 pytest.importorskip("viser", reason="needs viser: install the `view` extra")
@@ -43,7 +54,7 @@ def test_a_moment_is_what_was_recorded(recording: Recording) -> None:
     moment = recording.at(decision.t_s)
     assert moment.decision is decision
     np.testing.assert_allclose(moment.q_arm, run.robot.at(np.array([decision.t_s]))[0])
-    np.testing.assert_allclose(moment.bodies[0], run.postures.at(np.array([decision.t_s]))[0])
+    np.testing.assert_allclose(moment.bodies[""], run.postures.at(np.array([decision.t_s]))[0])
     assert sum(moment.posterior.values()) == pytest.approx(1.0)
     assert len(moment.centres_m) == len(moment.probability) > 0
     # Nothing of the future is shown, and at the end what was last.
@@ -114,6 +125,36 @@ def test_strange_moments_are_drawn_too(page: tuple[SpaceView, str]) -> None:
     assert "<b>" not in view._bars[0][0].content.replace("\\<", "").replace("\\>", "")
 
 
+def test_layers_and_people_are_shown_as_chosen(page: tuple[SpaceView, str], recording: Recording) -> None:
+    view, _ = page
+    q, line = recording.run.postures.q[0], (np.zeros((1, 2, 3)), np.ones((1, 3)))
+    moment = SpaceMoment(t_s=0.0, bodies={"anna": q, "ben": q}, lines={CANDIDATES: line, ROLLOUTS: line})
+    view.show(moment)
+    assert set(view._body.options) >= {"anna", "ben"}
+    assert view._moving["/people/1/0"].visible
+    assert view._moving[f"/lines/{CANDIDATES.replace(' ', '_')}"].visible
+    assert f"/lines/{ROLLOUTS.replace(' ', '_')}" not in view._moving  # off at first
+    set_value(view._body, "ben")
+    set_value(view._shown[CANDIDATES], False)
+    view.show(moment)
+    assert not view._moving["/people/1/0"].visible
+    assert view._moving["/people/0/0"].visible
+    assert not view._moving[f"/lines/{CANDIDATES.replace(' ', '_')}"].visible
+
+
+def test_the_last_half_minute_is_kept_and_another_beginning_begins_anew(page: tuple[SpaceView, str]) -> None:
+    view, _ = page
+    hold = RecordedDecision(t_s=0.0, action="hold", goals=(GoalPlan(name="red", selection_cost=0.5),))
+    for t_s in (0.0, 10.0, 10.05, 35.0):
+        view.show(SpaceMoment(t_s=t_s, posterior={"1": 0.4}, decision=hold))
+    samples = view._strip._samples
+    assert [sample.t_s for sample in samples] == [10.0, 35.0]
+    assert samples[-1].held
+    assert samples[-1].costs == {"red": 0.5}
+    view.show(SpaceMoment(t_s=1.0))
+    assert [sample.t_s for sample in samples] == [1.0]
+
+
 def test_a_port_in_use_is_passed_over_and_told() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -139,12 +180,12 @@ def test_text_of_strangers_is_shown_as_text() -> None:
 
 
 def test_the_running_graph_is_listened_to_while_somebody_looks(make_node: Callable[[str], Any]) -> None:
-    from rclpy.executors import SingleThreadedExecutor
     from sensor_msgs.msg import CompressedImage, JointState
 
     from humanpred_ros import topics
     from humanpred_ros.human.model import HumanModel
     from humanpred_ros.nodes import qos
+    from humanpred_ros.nodes.base import new_executor
     from humanpred_ros.nodes.live_view import Graph
 
     scene, human = load_scene("face_to_face"), HumanModel.kinect12()
@@ -153,7 +194,7 @@ def test_the_running_graph_is_listened_to_while_somebody_looks(make_node: Callab
     body = other.create_publisher(JointState, topics.human_joint_states("anna"), qos.SENSOR_PUBLISHER)
     space = other.create_publisher(CompressedImage, topics.COMPACT_OCCUPANCY, qos.SENSOR_PUBLISHER)
     graph = Graph(node, scene, human)
-    executor = SingleThreadedExecutor(context=node.context)
+    executor = new_executor(node.context)
     for one in (node, other):
         executor.add_node(one)
     names = scene.arm.chain.joint_names
@@ -176,3 +217,53 @@ def test_the_running_graph_is_listened_to_while_somebody_looks(make_node: Callab
     assert "waiting for /stomp_planner/decision" in moment.state
     graph.look(False)
     wait_until(lambda: executor.spin_once(timeout_sec=0.01) or arm.get_subscription_count() == 0, "no listener")
+
+
+def test_lines_of_markers_are_read_as_they_are_sent() -> None:
+    pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
+    from builtin_interfaces.msg import Time
+
+    from humanpred_ros.nodes.markers import candidate_markers, rollout_markers
+    from humanpred_ros.viewing.recorded import lines_of
+
+    way = np.arange(12.0).reshape(4, 3)
+    for array in (candidate_markers([("red", way, True)], Time()), rollout_markers([("red", [way])], Time())):
+        ends, colours = lines_of(array)
+        np.testing.assert_array_equal(ends, np.stack([way[:-1], way[1:]], axis=1))
+        assert colours.shape == (3, 3)
+        assert (colours >= 0.0).all()
+        assert (colours <= 1.0).all()
+
+
+def test_the_planner_is_asked_for_what_was_clicked(
+    page: tuple[SpaceView, str], make_node: Callable[[str], Any]
+) -> None:
+    from std_srvs.srv import SetBool
+
+    from humanpred_ros import topics
+    from humanpred_ros.nodes.base import new_executor
+    from humanpred_ros.nodes.live_view import Operator
+
+    view, node, planner, asked = page[0], make_node("view"), make_node("planner"), []
+
+    def answer(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        asked.append(request.data)
+        response.message = "red is *disabled*"
+        return response
+
+    scene = load_scene("face_to_face")
+    planner.create_service(SetBool, f"{topics.PLANNER}/tasks/{scene.goals[0].name}/enable", answer)
+    operator, executor = Operator(node, view, scene), new_executor(node.context)
+    for one in (node, planner):
+        executor.add_node(one)
+    operator._ask(f"tasks/{scene.goals[0].name}/enable", SimpleNamespace(target=SimpleNamespace(value="disable")))
+
+    def told() -> str:
+        operator.work()
+        executor.spin_once(timeout_sec=0.05)
+        return str(operator._answer.content)
+
+    wait_until(lambda: r"red is \*disabled\*" in told(), "the planner's answer")
+    assert asked == [False]
+    operator._ask("pause", SimpleNamespace(target=SimpleNamespace()))
+    wait_until(lambda: "nobody offers /stomp\\_planner/pause" in told(), "a word that nobody answers")
