@@ -5,8 +5,8 @@ along the wanted pose's own axes. The rotation is split into a twist about one a
 largest tolerance, and the rotation that tilts that axis. So a tool that may turn freely about its own x axis
 (tolerance 180 degrees) keeps the tolerances of how far that axis tilts, however far it has turned.
 
-A seven-joint arm reaches a pose in a whole curve of configurations, or in none. Many seeds are solved at once by damped
-least squares, as one batch: the damping follows the remaining error (Sugihara 2011); joints that would leave their
+A seven-joint arm reaches a pose in a whole curve of configurations, or in none. Many seeds are solved by damped
+least squares: the damping follows the remaining error (Sugihara 2011); joints that would leave their
 limits are stopped there, and the other joints make up for it.
 """
 
@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from humanpred_ros.errors import SceneError
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.robot.arm import Arm
+from humanpred_ros.robot.tool_pose_kernels import converge, nearest_poses
 from humanpred_ros.settings import LARGEST_SEED, Settings, setting
 
 _RIGID = 1e-6
@@ -68,30 +69,8 @@ class ToolPose:
 
     def nearest(self, T_world_tool: ArrayLike) -> FloatArray:
         """Return the allowed poses (..., 4, 4) nearest to other poses (..., 4, 4), part by part."""
-        from scipy.spatial.transform import Rotation  # only tool poses need it
-
         T = np.asarray(T_world_tool, dtype=np.float64)
-        wanted, flat = self.T_world_tool, T.reshape(-1, 4, 4)
-        result = np.zeros_like(flat)
-        result[:, 3, 3] = 1.0
-        shift = (flat[:, :3, 3] - wanted[:3, 3]) @ wanted[:3, :3]
-        allowed = np.clip(shift, -self.position_tolerance_m, self.position_tolerance_m)
-        result[:, :3, 3] = wanted[:3, 3] + allowed @ wanted[:3, :3].T
-        turned = wanted[:3, :3].T @ flat[:, :3, :3]
-        a = int(np.argmax(self.orientation_tolerance_rad))
-        b, c = (a + 1) % 3, (a + 2) % 3
-        twist = np.zeros((len(flat), 3))
-        # With the quaternion's real part w and its part x along a: 4 w x over 2 (w^2 - x^2), the tangent of the twist.
-        twist[:, a] = np.arctan2(turned[:, c, b] - turned[:, b, c], turned[:, b, b] + turned[:, c, c])
-
-        tilt = Rotation.from_matrix(turned @ Rotation.from_rotvec(-twist).as_matrix()).as_rotvec()
-        limit = self.orientation_tolerance_rad
-        tilt, twist = np.clip(tilt, -limit, limit), np.clip(twist, -limit, limit)
-        result[:, :3, :3] = (
-            wanted[:3, :3] @ Rotation.from_rotvec(tilt).as_matrix() @ Rotation.from_rotvec(twist).as_matrix()
-        )
-        nearest: FloatArray = result.reshape(T.shape)
-        return nearest
+        return nearest_poses(_poses(T), *self.parts)[0].reshape(T.shape)
 
     def error(self, T_world_tool: ArrayLike) -> FloatArray:
         """Return what is missing to the nearest allowed pose, world axes.
@@ -99,16 +78,18 @@ class ToolPose:
         Returns:
             (..., 6) translation in m, then rotation vector in rad, both zero within the tolerances.
         """
-        from scipy.spatial.transform import Rotation
-
         T = np.asarray(T_world_tool, dtype=np.float64)
-        nearest = self.nearest(T)
-        back = np.swapaxes(T[..., :3, :3], -1, -2)
+        return nearest_poses(_poses(T), *self.parts)[1].reshape(*T.shape[:-2], 6)
 
-        turn = Rotation.from_matrix((nearest[..., :3, :3] @ back).reshape(-1, 3, 3)).as_rotvec()
-        turn = turn.reshape(*T.shape[:-2], 3)
-        missing: FloatArray = np.concatenate([nearest[..., :3, 3] - T[..., :3, 3], turn], axis=-1)
-        return missing
+    @property
+    def parts(self) -> tuple[FloatArray, FloatArray]:
+        """The pose (4, 4), and its tolerances (6,), m and rad, as kernels take them."""
+        tolerance = np.concatenate([self.position_tolerance_m, self.orientation_tolerance_rad])
+        return self.T_world_tool.copy(), tolerance  # a copy, because numba compiles once more for read-only arrays
+
+
+def _poses(T: FloatArray) -> FloatArray:
+    return np.array(T.reshape(-1, 4, 4))
 
 
 def _each(what: str, tolerance: ArrayLike) -> FloatArray:
@@ -121,10 +102,6 @@ def _each(what: str, tolerance: ArrayLike) -> FloatArray:
 
 _CONVERGED = 1e-6
 """Error left of a solution, m and rad: far below what a robot's encoders tell apart."""
-_DAMPING = 1e-2
-_LEAST_DAMPING = 1e-12
-_LARGEST_STEP_RAD = 0.6
-_PULL = 0.3
 #: Where few are found, as of an arm that is nearly stretched, other seeds are tried, so many times at most.
 _ENOUGH, _ROUNDS = 8, 4
 
@@ -175,10 +152,15 @@ def solve_tool_pose(
     start = checked("inverse kinematics: start", start, (arm.chain.n_joints,))
     lower, upper = arm.chain.lower + settings.limit_margin_rad, arm.chain.upper - settings.limit_margin_rad
     inside = target.tightened(2.0 * _CONVERGED)
-    solutions = np.empty((0, arm.chain.n_joints))
+    chain = arm.chain
+    problem = (chain.joints, chain.T_last_tool.copy(), *inside.parts, start, chain.continuous.copy(), lower, upper)
+    solutions = np.empty((0, chain.n_joints))
     missing = np.full(2, np.inf)
     for k in range(_ROUNDS):
-        q, error = _converged(arm, inside, start, (lower, upper), settings, k)
+        q = _seeds(arm, start, lower, upper, settings, k)
+        # Every second one is drawn towards the start.
+        drawn = np.arange(len(q)) % 2 == 0
+        error = converge(q, drawn, *problem, settings.n_iterations, _CONVERGED)
         lengths = _missing(error)
         missing = min(missing, lengths[int(np.argmin(np.linalg.norm(error, axis=1)))], key=np.linalg.norm)
         reached = q[(lengths <= _CONVERGED).all(axis=1)]
@@ -189,33 +171,6 @@ def solve_tool_pose(
             break
     missing_m, missing_rad = (0.0, 0.0) if len(solutions) else missing
     return InverseKinematics(solutions, float(missing_m), float(missing_rad))
-
-
-def _converged(
-    arm: Arm,
-    inside: ToolPose,
-    start: FloatArray,
-    limits: tuple[FloatArray, FloatArray],
-    settings: InverseKinematicsSettings,
-    k: int,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the configurations (N, J) that the seeds of round `k` lead to, and the errors (N, 6) left."""
-    lower, upper = limits
-    q = _seeds(arm, start, lower, upper, settings, k)
-    drawn = np.arange(len(q)) % 2 == 0
-    error = np.full((len(q), 6), np.inf)
-    active = np.arange(len(q))
-    pulling = settings.n_iterations // 2
-    for iteration in range(settings.n_iterations + 1):
-        if iteration < pulling:
-            # A drawn seed gives way to the pull, then returns to the tolerances: it slides along the solutions.
-            q[drawn] += _PULL * (1.0 - iteration / pulling) * arm.difference(q[drawn], start)
-        error[active] = inside.error(arm.chain.tool_pose(q[active]))
-        active = np.flatnonzero((_missing(error) > _CONVERGED).any(axis=1) | (drawn & (iteration < pulling)))
-        if len(active) == 0 or iteration == settings.n_iterations:
-            break
-        q[active] = _stepped(arm, q[active], error[active], lower, upper)
-    return q, error
 
 
 def spread(arm: Arm, configurations: FloatArray, separation: float, most: int | None = None) -> FloatArray:
@@ -259,35 +214,3 @@ def _seeds(
     if k == 0:
         seeds[0] = np.clip(start, lower, upper)
     return seeds
-
-
-def _stepped(arm: Arm, q: FloatArray, error: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return configurations (N, J) after one step against the errors (N, 6), within the limits."""
-    J = _jacobian(arm, q)
-    damping = _DAMPING * (error**2).sum(axis=1) + _LEAST_DAMPING
-    step = _solved(J, error, damping)
-    free = (q + step > lower) & (q + step < upper)
-    if not free.all():
-        stop = np.where(free, 0.0, np.clip(q + step, lower, upper) - q)
-        step = stop + _solved(J * free[:, None, :], error - np.einsum("nij,nj->ni", J, stop), damping)
-    largest = np.abs(step).max(axis=1, keepdims=True)
-    step *= np.minimum(1.0, _LARGEST_STEP_RAD / np.maximum(largest, _LARGEST_STEP_RAD))
-    result: FloatArray = np.clip(q + step, lower, upper)
-    return result
-
-
-def _solved(J: FloatArray, error: FloatArray, damping: FloatArray) -> FloatArray:
-    """Return the damped least-squares steps (N, J) for errors (N, 6)."""
-    normal = J @ np.swapaxes(J, 1, 2) + damping[:, None, None] * np.eye(6)
-    step: FloatArray = np.einsum("nij,ni->nj", J, np.linalg.solve(normal, error[..., None])[..., 0])
-    return step
-
-
-def _jacobian(arm: Arm, q: FloatArray) -> FloatArray:
-    """Return (N, 6, J): velocity of the tool's origin, then angular velocity, world axes, per joint."""
-    poses = arm.chain.link_poses(q)
-    tool = (poses[:, -1] @ arm.chain.T_last_tool)[:, None, :3, 3]
-    axis = np.einsum("njab,jb->nja", poses[..., :3, :3], arm.chain.joint_axis)
-    J = np.concatenate([np.cross(axis, tool - poses[..., :3, 3]), axis], axis=-1)
-    jacobian: FloatArray = np.swapaxes(J, 1, 2)
-    return jacobian
