@@ -53,7 +53,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "bench view": ("evaluation.view_bench:measure", "frames a second of the live view, and what it costs the nodes"),
     "bench soak": ("nodes.soak_bench:run", "how the running graph holds out, with a fault now and then"),
     "bench faults": ("nodes.fault_bench:run", "what the running graph does when something goes wrong, fault by fault"),
-    "bench fuzz": ("evaluation.fuzz_files:run", "damaged files of every kind, and damaged messages to every node"),
+    "bench fuzz": ("evaluation.fuzz:run", "damaged files of every kind, and damaged messages to every node"),
     "robot check": ("evaluation.robot_check:run", "what an arm is made of, and how well its spheres cover its meshes"),
     "scene check": ("evaluation.scene_check:run", "plan every task of a scene once with nobody there, and draw it"),
     "scene schema": ("evaluation.scene_check:schema", "the JSON schema of scene files, for editors"),

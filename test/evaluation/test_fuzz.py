@@ -1,18 +1,21 @@
-"""A thousand damaged files are accepted or refused by name; what is neither is found, kept and can be done again."""
+"""Damaged files and messages are accepted or refused by name; what is neither is found, and can be done again."""
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from humanpred_ros.errors import HumanPredError
-from humanpred_ros.evaluation import fuzz_files, hostile_files
-from humanpred_ros.evaluation.fuzz_files import FuzzSettings, fuzz
+from humanpred_ros.errors import HumanPredError, UsageError
+from humanpred_ros.evaluation import hostile_samples
+from humanpred_ros.evaluation.damage import damaged
+from humanpred_ros.evaluation.fuzz import FuzzSettings, case_of, fuzz, fuzz_messages
 
 
 def quiet(what: str, total: int) -> Callable[[int], None]:
@@ -23,7 +26,7 @@ def test_a_thousand_damaged_files_are_accepted_or_refused_by_name(tmp_path: Path
     report = fuzz(FuzzSettings(files=1000, seed=20261129, keep=tmp_path / "kept"), quiet)
     assert report.figures["failures"] == []
     told = {kind["kind"]: kind for kind in report.figures["files"]}
-    assert set(told) == set(hostile_files.KINDS)
+    assert set(told) == set(hostile_samples.KINDS)
     assert all(kind["accepted"] and kind["refused"] for kind in told.values()), "damage must be neither all nor nothing"
     assert not (tmp_path / "kept").exists()
 
@@ -35,29 +38,94 @@ def test_a_refusal_that_took_all_memory_is_a_failure(
     def greedy(folder: Path, out: Path, number: int) -> None:
         raise trouble from MemoryError()
 
-    monkeypatch.setitem(hostile_files.KINDS, "weights", greedy)
-    assert hostile_files.outcome("weights", tmp_path, tmp_path / "out", 0).startswith("failed")
+    monkeypatch.setitem(hostile_samples.KINDS, "weights", greedy)
+    assert hostile_samples.outcome("weights", tmp_path, tmp_path / "out", 0).startswith("failed")
+
+
+def a_sample(tmp_path: Path) -> Path:
+    sample = tmp_path / "samples" / "weights"
+    sample.mkdir(parents=True)
+    (sample / "w.json").write_text('{"a": [1, 2, {"b": "c"}], "d": 0.5}')
+    return sample
 
 
 def test_a_file_is_known_by_seed_and_number(tmp_path: Path) -> None:
-    sample = tmp_path / "sample"
-    sample.mkdir()
-    (sample / "w.json").write_text('{"a": [1, 2, {"b": "c"}], "d": 0.5}')
     made = []
+    sample = a_sample(tmp_path)
     for k, number in enumerate((0, 0, 1)):
-        hostile_files.damaged(sample, tmp_path / str(k), np.random.default_rng([7, number]))
+        damaged(sample, tmp_path / str(k), np.random.default_rng([7, number]))
         made.append((tmp_path / str(k) / "w.json").read_bytes())
     assert made[0] == made[1] != made[2]
 
 
-def test_a_worker_that_dies_is_found_and_its_file_kept(tmp_path: Path) -> None:
-    worker = fuzz_files._Worker(tmp_path, "worker")
-    (worker.folder / "input").mkdir(parents=True)
-    (worker.folder / "input" / "w.json").write_text("the killer")
-    worker._connection, theirs = multiprocessing.Pipe()
-    worker._process = multiprocessing.get_context("spawn").Process(target=os._exit, args=(11,))
-    worker._process.start()
-    theirs.close()
-    case = worker.case(3, FuzzSettings(kinds=("weights",), seed=5, keep=tmp_path / "kept"))
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_a_file_that_ends_its_process_is_found_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    a_sample(tmp_path)
+    monkeypatch.setitem(hostile_samples.KINDS, "weights", lambda folder, out, number: os._exit(11))
+    settings = FuzzSettings(kinds=("weights",), seed=5, keep=tmp_path / "kept")
+    case = case_of(3, tmp_path, tmp_path / "worker" / "work", settings)
     assert case.outcome == "failed: it ended the process with status 11"
-    assert (tmp_path / "kept" / "5_3_weights" / "w.json").read_text() == "the killer"
+    assert (tmp_path / "kept" / "5_3_weights" / "w.json").exists()
+
+
+fuzzing = pytest.importorskip("humanpred_ros.nodes.fuzzing", reason="needs ROS 2: install the `ros` extra")
+
+
+def test_a_thousand_mutated_messages_do_no_harm() -> None:
+    told = fuzz_messages(1000, 0)
+    assert told["failures"] == []
+    assert set(told["targets"]) == set(fuzzing.targets())
+    assert told["messages"] >= 1000
+    predictors = [one for name, one in told["targets"].items() if name.startswith("occupancy_predictor")]
+    assert all(one["holds"] and one["refused"] for one in predictors)
+
+
+def test_there_is_a_message_for_every_node() -> None:
+    with pytest.raises(UsageError, match="for each of"):
+        fuzz_messages(3, 0)
+
+
+class Faulty(fuzzing.Target):  # type: ignore[name-defined, misc]
+    """A node that once, or always, does what none may do."""
+
+    def __init__(self, fault: str) -> None:
+        super().__init__(fault, lambda: None)
+
+    def handler(self) -> None:
+        self.shown += 1
+        if self.shown == 7 and self.name == "raises":
+            raise KeyError("seven")
+        if self.shown == 7 and self.name == "hangs":
+            until_s = time.thread_time() + 1.2 * fuzzing.HANG_S
+            while time.thread_time() < until_s:
+                pass
+
+    def open(self, node: Any, bench: Any) -> None:
+        self.shown = 0
+
+    def cases(self, node: Any, bench: Any, spoil: Any, spoiled: bool, now_ns: int) -> Iterator[Any]:
+        self.spoiled = spoiled
+        yield fuzzing.Case(self.handler, (), unusable=spoiled, good=not spoiled)
+
+    def answered(self, node: Any) -> tuple[bool, bool]:
+        usual = {"believes": True, "silent": False}.get(self.name, not self.spoiled)
+        return usual, not usual
+
+
+@pytest.mark.parametrize(
+    ("fault", "what"),
+    [
+        ("raises", "KeyError: 'seven'"),
+        ("hangs", "took 0."),
+        ("believes", "an ordinary answer to data that cannot be used"),
+        ("silent", "no ordinary answer"),
+        ("careful", ""),
+    ],
+)
+def test_what_no_node_may_do_is_found(fault: str, what: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fuzzing, "HANG_S", 0.2)
+    clock = SimpleNamespace(set_ros_time_override=lambda time: None)
+    node = SimpleNamespace(get_clock=lambda: clock, refused={})
+    told = fuzzing.Fuzzing(Faulty(fault), SimpleNamespace(), 0).run(node, 2000)
+    assert what in (told["failures"][0]["what"] if what else "")
+    assert bool(told["failures"]) == bool(what)
