@@ -6,7 +6,7 @@ the next one has to be found. What a node may do with a bad message is refuse it
 failures are: an exception; more than `HANG_S` of processor time; an ordinary answer to people's data that cannot be
 used; no ordinary answer after `RECOVERS_S` of good data; memory that grows.
 
-`python -m humanpred_ros.nodes.fuzzing --messages N --seed S [--after TARGET]` shows N messages, spread evenly over the
+`python -m fuzz.messages --messages N --seed S [--after TARGET]` shows N messages, spread evenly over the
 targets. It prints a line of JSON when it begins with a target, and one with what the target did. The same messages come
 again with the same seed, target by target. `humanpred bench fuzz` runs it.
 """
@@ -30,10 +30,10 @@ import numpy as np
 import rclpy
 from rclpy.time import Time
 
+from fuzz.mutations import Mutator
+from fuzz.targets import START_NS, STEP_NS, Bench, Case, Target, targets
 from humanpred_ros.errors import HumanPredError, UsageError
-from humanpred_ros.nodes.fuzz_targets import START_NS, STEP_NS, Bench, Case, Target, targets
 from humanpred_ros.nodes.lifecycle import started
-from humanpred_ros.nodes.mutations import Mutator
 
 HANG_S = 2.0
 #: Good data for so long must be answered as usual again.

@@ -1,4 +1,4 @@
-"""Messages as no sensor sends them: the inputs of the fuzzing of nodes (`fuzzing`).
+"""Messages as no sensor sends them: the inputs of the fuzzing of nodes (`messages`).
 
 Every message begins as a good one. One to three of its parts, found by what its type says, are then replaced by what a
 broken, foreign or ill-meaning sender could put there, within what the type can carry.

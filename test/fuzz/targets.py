@@ -18,6 +18,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool, Int16
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from fuzz.mutations import Mutator
 from humanpred_ros import topics
 from humanpred_ros.bags.writer import BagWriter
 from humanpred_ros.human.model import HumanModel
@@ -32,7 +33,6 @@ from humanpred_ros.nodes import (
     stomp_planner,
 )
 from humanpred_ros.nodes.base import GraphNode
-from humanpred_ros.nodes.mutations import Mutator
 from humanpred_ros.nodes.occupancy_predictor import OccupancyPredictorNode
 from humanpred_ros.nodes.occupancy_replay import OccupancyReplay
 from humanpred_ros.nodes.run_recorder import RunRecorder
