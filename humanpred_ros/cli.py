@@ -51,9 +51,15 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "bench link": ("evaluation.link_bench:measure", "predictor and planner on two hosts, over a link that loses"),
     "bench tracker": ("nodes.tracker_bench:run", "how long a body tracker's points take to become a posture"),
     "bench view": ("evaluation.view_bench:measure", "frames a second of the live view, and what it costs the nodes"),
-    "bench soak": ("nodes.soak_bench:run", "how the running graph holds out, with a fault now and then"),
-    "bench faults": ("nodes.fault_bench:run", "what the running graph does when something goes wrong, fault by fault"),
-    "bench fuzz": ("evaluation.fuzz:run", "damaged files of every kind, and damaged messages to every node"),
+    "bench soak": ("evaluation.checkout_benches:soak", "how the running graph holds out, with a fault now and then"),
+    "bench faults": (
+        "evaluation.checkout_benches:faults",
+        "what the running graph does when something goes wrong",
+    ),
+    "bench fuzz": (
+        "evaluation.checkout_benches:fuzz",
+        "damaged files of every kind, damaged messages to every node",
+    ),
     "robot check": ("evaluation.robot_check:run", "what an arm is made of, and how well its spheres cover its meshes"),
     "scene check": ("evaluation.scene_check:run", "plan every task of a scene once with nobody there, and draw it"),
     "scene schema": ("evaluation.scene_check:schema", "the JSON schema of scene files, for editors"),

@@ -16,7 +16,7 @@ from fuzz.damage import damaged
 from fuzz.files import case_of, fuzz, fuzz_messages
 
 from humanpred_ros.errors import HumanPredError, UsageError
-from humanpred_ros.evaluation.fuzz import KINDS, FuzzSettings
+from humanpred_ros.evaluation.checkout_benches import KINDS, FuzzSettings
 
 
 def quiet(what: str, total: int) -> Callable[[int], None]:

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from faults.bench import GAP_RAD, Row, page
+from faults.catalogue import FAULTS, SHORT
+from faults.trials import GOES_ON, HOLDS, OPEN, Bounds, Command, Heard, TimedText, Trial, judged
 from paths import REPOSITORY
 from rich.console import Console
 
 from humanpred_ros.cli import parse
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.fault_trials import GOES_ON, HOLDS, OPEN, Bounds, Command, Heard, TimedText, Trial, judged
-from humanpred_ros.evaluation.faults import FAULTS, SHORT
-from humanpred_ros.nodes.fault_bench import GAP_RAD, Row, page
 
 BEGAN, ENDED, BACK = 10.0, 11.5, 12.0
 _HOW_SOON = ("rested after", "a trajectory began")

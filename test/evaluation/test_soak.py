@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
-from humanpred_ros.evaluation.fault_trials import TimedText, Trial
-from humanpred_ros.evaluation.faults import FAULTS
-from humanpred_ros.nodes.soak_bench import Memory, Seen, bad_of, drift_of, late_of, memory_of
+from faults.catalogue import FAULTS
+from faults.soak import Memory, Seen, bad_of, drift_of, late_of, memory_of
+from faults.trials import TimedText, Trial
 
 CAUGHT = Trial(0.1, 0.2, "stale", 0.3, 0.0, 0.0, 0.3)
 

@@ -33,8 +33,8 @@ from threadpoolctl import threadpool_limits
 from fuzz.damage import ESCAPE, damaged
 from fuzz.samples import KINDS, make_samples, outcome
 from humanpred_ros.errors import UsageError
+from humanpred_ros.evaluation.checkout_benches import FuzzSettings
 from humanpred_ros.evaluation.framework import Begin, Report, Table, present
-from humanpred_ros.evaluation.fuzz import FuzzSettings
 from humanpred_ros.evaluation.parallel import usable_cores
 from humanpred_ros.evaluation.processes import ends_with_parent
 

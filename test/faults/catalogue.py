@@ -17,10 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from humanpred_ros import topics
-from humanpred_ros.evaluation.fault_trials import GOES_ON, HOLDS, STOPS
-from humanpred_ros.evaluation.processes import ParameterValue
-from humanpred_ros.evaluation.spoilt_messages import (
+from faults.spoilt_messages import (
     ANGLES,
     LENGTHS,
     MakeSpoil,
@@ -45,6 +42,9 @@ from humanpred_ros.evaluation.spoilt_messages import (
     with_value,
     without_last,
 )
+from faults.trials import GOES_ON, HOLDS, STOPS
+from humanpred_ros import topics
+from humanpred_ros.evaluation.processes import ParameterValue
 from humanpred_ros.geometry.lattice import VoxelGrid
 
 TRACKER, PREDICTOR, PLANNER = "skeleton_tracker_replay", "occupancy_predictor", "stomp_planner"

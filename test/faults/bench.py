@@ -21,17 +21,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.console import Console
 
+from faults.catalogue import CLOCK, DIRECT, FAULTS, GUARD_S, GUARDED, MAX_AGE_S, RELAYED, SHORT, Fault
+from faults.trials import GOES_ON, HOLDS, OPEN, STOPS, Bounds, Trial, judged
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.fault_trials import GOES_ON, HOLDS, OPEN, STOPS, Bounds, Trial, judged
-from humanpred_ros.evaluation.faults import CLOCK, DIRECT, FAULTS, GUARD_S, GUARDED, MAX_AGE_S, RELAYED, SHORT, Fault
-from humanpred_ros.evaluation.framework import Begin, Column, OutputSettings, Report, Table, chosen_names, present
+from humanpred_ros.evaluation.checkout_benches import FaultBenchSettings
+from humanpred_ros.evaluation.framework import Begin, Column, Report, Table, chosen_names, present
 from humanpred_ros.evaluation.outputs import check_writable
 from humanpred_ros.evaluation.timing import MachineLoad
 from humanpred_ros.resources import replacing
-from humanpred_ros.settings import setting
 
 if TYPE_CHECKING:
-    from humanpred_ros.nodes.fault_graph import FaultGraph
+    from faults.graph import FaultGraph
 
 #: The fastest joint of the arm, rad/s, and the acceleration it brakes with, rad/s².
 _FASTEST, _BRAKING = 0.36, 4.0
@@ -50,15 +50,6 @@ _TRIALS = 2
 #: What a fault leaves behind shows so soon, s.
 _CALM_S = 0.5
 _LONGEST_REASON = 120
-
-
-class FaultBenchSettings(OutputSettings):
-    """Settings of `humanpred bench faults`."""
-
-    page: Path = setting(Path("docs/faults.md"), "page to write when every fault is tried")
-    only: tuple[str, ...] = setting(("all",), "names of faults")
-    short: bool = setting(False, "only a handful of faults, in less than a minute")
-    keep: Path | None = setting(None, "new folder to keep logs and bags in")
 
 
 @dataclass(frozen=True)
@@ -175,7 +166,7 @@ def _measured(settings: FaultBenchSettings, begin: Begin, rows: list[Row]) -> Re
 def _try_all(faults: Sequence[Fault], folder: Path, begin: Begin, rows: list[Row]) -> float:
     """Try every fault, the graphs one after the other; return how far the arm moved, rad."""
     try:
-        from humanpred_ros.nodes.fault_graph import FaultGraph, Inputs
+        from faults.graph import FaultGraph, Inputs
     except ImportError as error:
         raise UsageError(f"bench faults: wanted ROS 2, got none ({error}); install the `ros` extra") from error
     advance = begin("faults", len(faults))

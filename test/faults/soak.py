@@ -19,17 +19,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.console import Console
 
+from faults.bench import tried
+from faults.catalogue import CLOCK, FAULTS, GUARDED, NODES, PLANNER, PREDICTOR, RECORDER, RELAYED, Fault
+from faults.trials import WORKING, TimedText, Trial
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.fault_trials import WORKING, TimedText, Trial
-from humanpred_ros.evaluation.faults import CLOCK, FAULTS, GUARDED, NODES, PLANNER, PREDICTOR, RECORDER, RELAYED, Fault
-from humanpred_ros.evaluation.framework import Begin, Column, OutputSettings, Report, Table, present
+from humanpred_ros.evaluation.checkout_benches import SoakSettings
+from humanpred_ros.evaluation.framework import Begin, Column, Report, Table, present
 from humanpred_ros.evaluation.timing import MachineLoad
-from humanpred_ros.nodes.fault_bench import tried
 from humanpred_ros.planning.replanner import NO_TIME
-from humanpred_ros.settings import LARGEST_SEED, setting
 
 if TYPE_CHECKING:
-    from humanpred_ros.nodes.fault_graph import FaultGraph
+    from faults.graph import FaultGraph
 
 #: Memory counts after so long, or after this share of a short run; s.
 _SETTLED_S, _SETTLED_SHARE = 300.0, 0.3
@@ -43,15 +43,6 @@ _OVERLOAD = "overload"
 _AFTER_S = 1.0
 #: Part of the reason of a hold that the person themselves call for.
 _THE_PERSON = ("the person", "no path can be executed", "nowhere to go")
-
-
-class SoakSettings(OutputSettings):
-    """Settings of `humanpred bench soak`."""
-
-    minutes: float = setting(10.0, "length of the run", unit="min", low=0.5, high=1440.0)
-    calm: float = setting(10.0, "mean time between one fault and the next", unit="s", low=1.0, high=3600.0)
-    seed: int = setting(0, "of the faults' order and times", low=0, high=LARGEST_SEED)
-    keep: Path | None = setting(None, "new folder to keep logs and bag in")
 
 
 @dataclass
@@ -110,7 +101,7 @@ def _measured(settings: SoakSettings, begin: Begin, bad: list[str]) -> Report:
         UsageError: no ROS, or nodes that do not get ready or end.
     """
     try:
-        from humanpred_ros.nodes.fault_graph import FaultGraph, Inputs
+        from faults.graph import FaultGraph, Inputs
     except ImportError as error:
         raise UsageError(f"bench soak: wanted ROS 2, got none ({error}); install the `ros` extra") from error
     if settings.keep is not None and settings.keep.exists():

@@ -16,11 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from humanpred_ros import topics
-from humanpred_ros.bags.salvage import scan_records
-from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.bench_nodes import RATE_HZ, write_scene_of
-from humanpred_ros.evaluation.faults import (
+from faults.catalogue import (
     ARM,
     CLOCK,
     DIRECT,
@@ -36,13 +32,17 @@ from humanpred_ros.evaluation.faults import (
     WATCHED,
     wired,
 )
+from faults.spoilt_messages import Spoil
+from faults.wire import Wire
+from humanpred_ros import topics
+from humanpred_ros.bags.salvage import scan_records
+from humanpred_ros.errors import UsageError
+from humanpred_ros.evaluation.bench_nodes import RATE_HZ, write_scene_of
 from humanpred_ros.evaluation.processes import NodeGroup, NodeProcess, ParameterValue, free_domain_id
-from humanpred_ros.evaluation.spoilt_messages import Spoil
 from humanpred_ros.human.model import human_with
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary, resample
-from humanpred_ros.nodes.fault_wire import Wire
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR
 from humanpred_ros.recognition.training import model_of
 from humanpred_ros.resources import locate

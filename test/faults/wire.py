@@ -27,12 +27,12 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Int16
 from trajectory_msgs.msg import JointTrajectory
 
+from faults.catalogue import POSTURES, WATCHED, wired
+from faults.spoilt_messages import Spoil
+from faults.trials import Command, Heard, TimedText
 from humanpred_ros import topics
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.fault_trials import Command, Heard, TimedText
-from humanpred_ros.evaluation.faults import POSTURES, WATCHED, wired
 from humanpred_ros.evaluation.processes import ParameterValue
-from humanpred_ros.evaluation.spoilt_messages import Spoil
 from humanpred_ros.nodes import conversions, qos
 
 _POLL_S = 0.01
