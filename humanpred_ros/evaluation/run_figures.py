@@ -15,7 +15,7 @@ from humanpred_ros.motion.motion import Motion
 from humanpred_ros.planning.decision import EVADE, HOLD, MISSED, REPLAN, Decision
 from humanpred_ros.planning.pace import Pace
 from humanpred_ros.planning.path import path_integral, path_parameter
-from humanpred_ros.planning.trajectory import TimedTrajectory, at_rest
+from humanpred_ros.planning.trajectory import Schedule, TimedTrajectory
 from humanpred_ros.robot.clearance import Separation, SeparationMeter
 from humanpred_ros.robot.scene import Scene
 from humanpred_ros.stomp.costs import HumanOccupancyCost, as_batch
@@ -207,17 +207,12 @@ def executed_cost(term: HumanOccupancyCost, path: FloatArray, weights: FloatArra
 
 
 class ExecutedMotion:
-    """All that an arm executed, from the trajectories of a run's decisions.
-
-    Each takes over at its switch time, whatever was executed before; what was to take over at that time or later
-    is dropped (as in `planning.trajectory.Schedule`, which forgets, and this does not).
-    """
+    """All that an arm executed, from the trajectories of a run's decisions."""
 
     def __init__(self, q_start: ArrayLike, begin_s: float = 0.0, pace: Pace | None = None) -> None:
         """Begin with an arm at rest at `q_start` (D,) from `begin_s` on, whose trajectories' time has this pace."""
         self._begin_s, self._pace = float(begin_s), pace or Pace()
-        self._from_s = [self._begin_s]
-        self._trajectories = [at_rest(q_start, begin_s)]
+        self._schedule = Schedule(q_start, begin_s, forgets=False)
 
     @classmethod
     def of(
@@ -232,46 +227,37 @@ class ExecutedMotion:
 
     def take_over(self, from_s: float, trajectory: TimedTrajectory) -> None:
         """Let a trajectory be executed from `from_s` on, both in the controller's time."""
-        while len(self._from_s) > 1 and self._from_s[-1] >= from_s:
-            self._from_s.pop()
-            self._trajectories.pop()
-        self._from_s.append(float(from_s))
-        self._trajectories.append(trajectory)
+        self._schedule.add(from_s, trajectory)
 
     @property
     def departure_s(self) -> float:
         """When the first trajectory that moves takes over; infinite if none does."""
-        pairs = zip(self._from_s, self._trajectories, strict=True)
         moving = (
-            self._pace.reached_s(from_s) for from_s, way in pairs if way.end_s > from_s and np.ptp(way.q, axis=0).any()
+            from_s for from_s, way in self._schedule.entries if way.end_s > from_s and np.ptp(way.q, axis=0).any()
         )
-        return next(moving, np.inf)
+        return next(map(self._pace.reached_s, moving), np.inf)
 
     @property
     def end_s(self) -> float:
         """Since when the arm rests for good."""
-        return max(self._begin_s, self._pace.reached_s(max(self._from_s[-1], self._trajectories[-1].end_s)))
+        from_s, last = self._schedule.entries[-1]
+        return max(self._begin_s, self._pace.reached_s(max(from_s, last.end_s)))
 
     @property
     def q_end(self) -> FloatArray:
         """(D,) where it rests then."""
-        last: FloatArray = self._trajectories[-1].q[-1]
+        last: FloatArray = self._schedule.entries[-1][1].q[-1]
         return last
 
     def at(self, t_s: FloatArray) -> FloatArray:
-        """Return the configurations (T, D) at times (T,)."""
-        t_s = self._pace.progress(t_s)
-        which = np.clip(np.searchsorted(self._from_s, t_s, side="right") - 1, 0, None)
-        q = np.empty((len(t_s), len(self.q_end)))
-        for k in np.unique(which):
-            q[which == k] = self._trajectories[k].sample(t_s[which == k])[0]
-        return q
+        """Return the configurations (T, D) at increasing times (T,)."""
+        return self._schedule.positions(self._pace.progress(t_s))
 
     def samples(self, period_s: float) -> tuple[FloatArray, FloatArray]:
         """Return times (T,) at most `period_s` apart from begin to end, all takeovers among them, and q (T, D)."""
         n = max(1, int(np.ceil((self.end_s - self._begin_s) / period_s - 1e-9)))
         even = np.linspace(self._begin_s, self.end_s, n + 1)
-        t = np.unique(np.concatenate([even, [self._pace.reached_s(from_s) for from_s in self._from_s]]))
+        t = np.unique(np.concatenate([even, [self._pace.reached_s(from_s) for from_s, _ in self._schedule.entries]]))
         return t, self.at(t)
 
     def share(self, until_s: float, which: Callable[[float], bool]) -> float:

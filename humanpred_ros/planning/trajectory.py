@@ -6,6 +6,8 @@ a ROS joint trajectory controller does; so position, velocity and acceleration a
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -153,19 +155,25 @@ _REMEMBERED = 64
 
 
 class Schedule:
-    """Trajectories and the times from which they are executed, the last few of them."""
+    """Trajectories and the times from which they are executed, the last few of them, or all."""
 
-    def __init__(self, q: ArrayLike, t_s: float) -> None:
+    def __init__(self, q: ArrayLike, t_s: float, forgets: bool = True) -> None:
         """Begin with a robot at rest at `q` (D,)."""
         rest = checked("start configuration", q, ("D",), error=PlanningError)
         self._entries = [(float(t_s), at_rest(rest, t_s))]
+        self._most = _REMEMBERED if forgets else sys.maxsize
         self._forgotten = False
 
     def add(self, from_s: float, trajectory: TimedTrajectory) -> None:
         """Let `trajectory` take over at `from_s`; whatever was to take over then or later is dropped."""
         kept = [entry for entry in self._entries if entry[0] < from_s] or self._entries[:1]
-        self._forgotten = self._forgotten or len(kept) >= _REMEMBERED
-        self._entries = [*kept, (from_s, trajectory)][-_REMEMBERED:]
+        self._forgotten = self._forgotten or len(kept) >= self._most
+        self._entries = [*kept, (from_s, trajectory)][-self._most :]
+
+    @property
+    def entries(self) -> Sequence[tuple[float, TimedTrajectory]]:
+        """Trajectories, each with the time from which it is executed."""
+        return self._entries
 
     def at(self, t_s: float) -> TimedTrajectory:
         """Return the trajectory executed at `t_s`; before the first, the robot rests where it began.

@@ -7,13 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from humanpred_ros.evaluation.run_figures import ExecutedMotion, goal_reached
 from humanpred_ros.planning.path import straight
 from humanpred_ros.planning.time_parameterisation import time_parameterise
-from humanpred_ros.planning.trajectory import Schedule, TimedTrajectory, at_rest
+from humanpred_ros.planning.trajectory import TimedTrajectory, at_rest
 from humanpred_ros.robot.scene import load_scene
 
 
@@ -22,18 +20,6 @@ def ramp(q_from: float, q_to: float, start_s: float, duration_s: float = 1.0) ->
     t = np.array([start_s, start_s + duration_s])
     q = np.array([[q_from], [q_to]])
     return TimedTrajectory(t, q, np.zeros((2, 1)), np.zeros((2, 1)))
-
-
-@settings(max_examples=60)
-@given(st.lists(st.tuples(st.floats(0.0, 5.0), st.floats(-1.0, 1.0)), max_size=12), st.integers(0, 1000))
-def test_is_the_planners_schedule(takeovers: list[tuple[float, float]], seed: int) -> None:
-    schedule, executed = Schedule(np.zeros(1), 0.0), ExecutedMotion(np.zeros(1))
-    for from_s, goal in takeovers:
-        trajectory = ramp(0.0, goal, from_s)
-        schedule.add(from_s, trajectory)
-        executed.take_over(from_s, trajectory)
-    t = np.sort(np.random.default_rng(seed).uniform(0.0, 7.0, 30))
-    assert np.array_equal(executed.at(t), np.stack([schedule.state_at(float(at))[0] for at in t]))
 
 
 def test_remembers_more_takeovers_than_a_schedule() -> None:
