@@ -48,7 +48,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "bench predictor": ("evaluation.predictor_bench:measure", "time per posture, and occupancies a second over DDS"),
     "bench planner": ("evaluation.planner_bench:measure", "time per goal beside the C++ floor"),
     "bench graph": ("evaluation.graph_bench:measure", "posture to trajectory over DDS at 30 Hz, per number of goals"),
-    "bench link": ("evaluation.link_bench:measure", "predictor and planner on two hosts, over a link that loses"),
+    "bench link": ("evaluation.checkout_benches:link", "predictor and planner on two hosts, over a link that loses"),
     "bench tracker": ("nodes.tracker_bench:run", "how long a body tracker's points take to become a posture"),
     "bench view": ("evaluation.view_bench:measure", "frames a second of the live view, and what it costs the nodes"),
     "bench soak": ("evaluation.checkout_benches:soak", "how the running graph holds out, with a fault now and then"),

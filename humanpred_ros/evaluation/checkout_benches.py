@@ -1,6 +1,7 @@
-"""`humanpred bench fuzz`, `bench faults` and `bench soak`: what this package is put through, from a checkout only.
+"""`humanpred bench fuzz`, `bench faults`, `bench soak` and `bench link`: what this package is put through.
 
-Faults, damage and what must follow are part of the repository's tests (`test/fuzz`, `test/faults`).
+Damage, faults, bad links and what must follow are part of the repository's tests (`test/fuzz`, `test/faults`,
+`test/link`): these commands run from a checkout only.
 """
 
 from __future__ import annotations
@@ -11,11 +12,14 @@ from pathlib import Path
 
 from rich.console import Console
 
-from humanpred_ros.errors import UsageError
+from humanpred_ros.errors import SettingsError, UsageError
 from humanpred_ros.evaluation.framework import OutputSettings, chosen_names
+from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.resources import share_directory
-from humanpred_ros.settings import LARGEST_SEED, setting
+from humanpred_ros.settings import LARGEST_SEED, setting, setting_of
 
+#: A link that was down: work again is asked for so soon after it is back, s.
+AGAIN_S = 0.5
 KINDS = ("scene", "library", "bag", "table", "people", "markers", "model", "weights", "urdf", "run", "setting")
 
 
@@ -53,6 +57,35 @@ class SoakSettings(OutputSettings):
     keep: Path | None = setting(None, "new folder to keep logs and bag in")
 
 
+class LinkBenchSettings(OutputSettings):
+    """Settings of `humanpred bench link`."""
+
+    loss: tuple[float, ...] = setting((0.0, 0.01, 0.05), "shares of frames that get lost, each way", low=0.0, high=0.9)
+    delay_ms: float = setting(20.0, "time that every frame takes", unit="ms", low=0.0, high=1000.0)
+    seconds: float = setting(15.0, "length of the postures in every run", unit="s", low=4.0, high=600.0)
+    down: float = setting(3.0, "the link is down for so long, from a third of the run on; 0: never", unit="s", low=0.0)
+    period: float = setting_of(ReplannerConfig, "period_s", default=0.2)
+    recorder: tuple[str, ...] = setting(
+        ("planner", "predictor"), "whose host the recorder is on: one run each, of planner and predictor"
+    )
+    copies: int = setting(3, "how often each occupancy is sent", low=1, high=5)
+    profile: bool = setting(True, "with config/fastdds_lossy_link.xml; false: DDS as it comes")
+    keep: Path | None = setting(None, "new folder to keep bags and logs in")
+
+    def check(self) -> None:
+        """Refuse what leaves nothing to measure."""
+        if not self.loss:
+            raise SettingsError(f"{type(self).__name__} loss: wanted one or more shares, got none")
+        if not self.recorder or not set(self.recorder) <= {"planner", "predictor"}:
+            got = ", ".join(self.recorder) or "none"
+            raise SettingsError(f"{type(self).__name__} recorder: wanted planner, predictor or both, got {got}")
+        if self.seconds < 1.5 * (self.down + AGAIN_S) + 1.0:
+            raise SettingsError(
+                f"{type(self).__name__} seconds: wanted at least {1.5 * (self.down + AGAIN_S) + 1.0:g} s for a link "
+                f"that is down for {self.down:g} s, got {self.seconds:g} s"
+            )
+
+
 def fuzz(settings: FuzzSettings, console: Console) -> int:
     """Read damaged files and show damaged messages to the nodes; the exit status is 1 if anything failed."""
     return _run("fuzz.files", settings, console)
@@ -66,6 +99,11 @@ def faults(settings: FaultBenchSettings, console: Console) -> int:
 def soak(settings: SoakSettings, console: Console) -> int:
     """Let the graph run with a fault now and then; the exit status is 1 if something is not as asked."""
     return _run("faults.soak", settings, console)
+
+
+def link(settings: LinkBenchSettings, console: Console) -> int:
+    """Run the graph on two hosts with every loss."""
+    return _run("link.bench", settings, console)
 
 
 def _run(module: str, settings: OutputSettings, console: Console) -> int:

@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from humanpred_ros.evaluation.two_hosts import PRIVATE, missing
+from link.hosts import PRIVATE, missing
+from paths import REPOSITORY
 
 WHY_NOT = missing()
 pytestmark = pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT)
@@ -39,7 +39,7 @@ print(len(took_s), min(took_s, default=0.0))
 """
 TRY = f"""
 import subprocess, sys
-from humanpred_ros.evaluation.two_hosts import TwoHosts
+from link.hosts import TwoHosts
 
 with TwoHosts(0.0, 0.02) as hosts:
     def ask(times):
@@ -60,7 +60,9 @@ with TwoHosts(0.0, 0.02) as hosts:
 
 
 def test_the_link_delays_loses_and_is_cut() -> None:
-    done = subprocess.run([*PRIVATE, sys.executable, "-c", TRY], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [*PRIVATE, sys.executable, "-c", TRY], cwd=REPOSITORY / "test", capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     whole, lossy, cut, back = [[float(word) for word in line.split()] for line in done.stdout.splitlines()]
     assert whole[0] == 20

@@ -17,61 +17,36 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+
 from humanpred_ros import topics
 from humanpred_ros.bags.reader import BagReader
-from humanpred_ros.errors import SettingsError, UsageError
+from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.bench_nodes import RATE_HZ, skipped_steps, write_motion, write_scene
-from humanpred_ros.evaluation.framework import Begin, Column, OutputSettings, Report, Table
-from humanpred_ros.evaluation.link_run import MOVING, SEEING, LinkRun, as_argument
+from humanpred_ros.evaluation.checkout_benches import AGAIN_S, LinkBenchSettings
+from humanpred_ros.evaluation.framework import Begin, Column, Report, Table, present
 from humanpred_ros.evaluation.timing import MachineLoad, Spread
-from humanpred_ros.evaluation.two_hosts import PRIVATE, missing
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.planning.decision import ARRIVED, HOLD
-from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER
 from humanpred_ros.recognition.training import model_of
 from humanpred_ros.resources import locate, share_file
-from humanpred_ros.settings import setting, setting_of
 from humanpred_ros.viewing.recorded import decision_of
 from humanpred_ros.viewing.run import occupancies, stamped
+from link.hosts import PRIVATE, missing
+from link.run import MOVING, SEEING, LinkRun, as_argument
 
 _LIBRARY, _MOTION, _GOALS = "synthetic_reaches", "3/2", 2
 #: So slow that the arm does not arrive meanwhile; few iterations: it is the link that is measured.
 _VELOCITY_SCALE, _ITERATIONS = 0.1, 20
-#: Asked for: work again so soon after the link is back, s.
-AGAIN_S = 0.5
 PROFILE = "fastdds_lossy_link.xml"
 _RECORDER = {"planner": MOVING, "predictor": SEEING}
 
 
-class LinkBenchSettings(OutputSettings):
-    """Settings of `humanpred bench link`."""
-
-    loss: tuple[float, ...] = setting((0.0, 0.01, 0.05), "shares of frames that get lost, each way", low=0.0, high=0.9)
-    delay_ms: float = setting(20.0, "time that every frame takes", unit="ms", low=0.0, high=1000.0)
-    seconds: float = setting(15.0, "length of the postures in every run", unit="s", low=4.0, high=600.0)
-    down: float = setting(3.0, "the link is down for so long, from a third of the run on; 0: never", unit="s", low=0.0)
-    period: float = setting_of(ReplannerConfig, "period_s", default=0.2)
-    recorder: tuple[str, ...] = setting(
-        ("planner", "predictor"), "whose host the recorder is on: one run each, of planner and predictor"
-    )
-    copies: int = setting(3, "how often each occupancy is sent", low=1, high=5)
-    profile: bool = setting(True, "with config/fastdds_lossy_link.xml; false: DDS as it comes")
-    keep: Path | None = setting(None, "new folder to keep bags and logs in")
-
-    def check(self) -> None:
-        """Refuse what leaves nothing to measure."""
-        if not self.loss:
-            raise SettingsError(f"{type(self).__name__} loss: wanted one or more shares, got none")
-        if not self.recorder or not set(self.recorder) <= set(_RECORDER):
-            got = ", ".join(self.recorder) or "none"
-            raise SettingsError(f"{type(self).__name__} recorder: wanted planner, predictor or both, got {got}")
-        if self.seconds < 1.5 * (self.down + AGAIN_S) + 1.0:
-            raise SettingsError(
-                f"{type(self).__name__} seconds: wanted at least {1.5 * (self.down + AGAIN_S) + 1.0:g} s for a link "
-                f"that is down for {self.down:g} s, got {self.seconds:g} s"
-            )
+def run(settings: LinkBenchSettings, console: Console) -> int:
+    """Measure, print and write."""
+    return present(settings, console, measure)
 
 
 def measure(settings: LinkBenchSettings, begin: Begin) -> Report:
@@ -118,7 +93,8 @@ def _results(settings: LinkBenchSettings, folder: Path, begin: Begin) -> list[di
                 str(share_file("config", PROFILE)) if settings.profile else "",
             )  # fmt: skip
             done = subprocess.run(
-                [*PRIVATE, sys.executable, "-m", "humanpred_ros.evaluation.link_run", as_argument(run)],
+                [*PRIVATE, sys.executable, "-m", "link.run", as_argument(run)],
+                cwd=Path(__file__).resolve().parents[1],
                 stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False,
             )  # fmt: skip
             if done.returncode:

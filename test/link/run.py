@@ -15,7 +15,7 @@ from typing import Any
 from humanpred_ros.errors import HumanPredError
 from humanpred_ros.evaluation.bench_nodes import replay
 from humanpred_ros.evaluation.processes import NodeGroup, ends_with_parent
-from humanpred_ros.evaluation.two_hosts import TwoHosts
+from link.hosts import TwoHosts
 
 #: Where people are seen, and where the arm is.
 SEEING, MOVING = 0, 1
