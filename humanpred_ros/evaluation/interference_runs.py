@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from humanpred_ros.evaluation.guarded import drive_guarded
 from humanpred_ros.evaluation.run_figures import ExecutedMotion, RunEvaluator, RunFigures
 from humanpred_ros.evaluation.simulation import (
     METHODS,
@@ -20,6 +19,7 @@ from humanpred_ros.evaluation.simulation import (
     RunSettings,
     World,
     drive,
+    drive_guarded,
     held_postures,
     nobody,
 )

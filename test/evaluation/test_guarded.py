@@ -6,9 +6,8 @@ from contextlib import closing
 
 import numpy as np
 
-from humanpred_ros.evaluation.guarded import drive_guarded
 from humanpred_ros.evaluation.run_figures import ExecutedMotion
-from humanpred_ros.evaluation.simulation import held_postures, nobody
+from humanpred_ros.evaluation.simulation import drive_guarded, held_postures, nobody
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.planning.replanner import Replanner

@@ -18,8 +18,7 @@ from humanpred_ros import plugins
 from humanpred_ros.cli import parse
 from humanpred_ros.errors import HumanModelError, SettingsError, UsageError
 from humanpred_ros.evaluation import predictor_bench
-from humanpred_ros.evaluation.predictor_bench import update_us
-from humanpred_ros.evaluation.predictor_bench_node import People
+from humanpred_ros.evaluation.predictor_bench import People, update_us
 from humanpred_ros.evaluation.timing import MachineLoad, Spread
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.motion import MotionLibrary

@@ -16,13 +16,12 @@ from small_library import small_library
 from waiting import processes_with_environment, wait_until
 
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation import predictor_bench_node
+from humanpred_ros.evaluation import predictor_bench
 from humanpred_ros.evaluation.bench_nodes import PostureAnswer
-from humanpred_ros.evaluation.predictor_bench_node import (
+from humanpred_ros.evaluation.predictor_bench import (
     PLACES,
     TOLD,
     People,
-    cores_of,
     hold_to_one_core,
     measure_node,
     rates_hz,
@@ -57,7 +56,7 @@ def test_the_rate_is_that_of_occupancies_not_of_postures() -> None:
 
 
 def test_the_beginning_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(predictor_bench_node, "_SETTLING_S", 0.2)
+    monkeypatch.setattr(predictor_bench, "_SETTLING_S", 0.2)
     assert [answer.stamp_ns for answer in settled(answers(None, 900, 910, None))] == [200 * MS, 300 * MS]
 
 
@@ -71,34 +70,18 @@ def process() -> Iterator[subprocess.Popen[bytes]]:
 
 @HOLDS
 def test_threads_started_later_are_held_to_the_core_too(process: subprocess.Popen[bytes]) -> None:
-    hold_to_one_core(process.pid)
+    assert hold_to_one_core(process.pid)
     assert process.stdout is not None
     process.stdout.readline()  # the thread runs
-    assert len(list(Path(f"/proc/{process.pid}/task").iterdir())) == 2
-    assert cores_of(process.pid) == 1
-    process.kill()
-    process.wait()
-    assert cores_of(process.pid) is None
-
-
-@HOLDS
-def test_without_that_nothing_happens_and_nothing_is_claimed(
-    process: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    before = cores_of(process.pid)
-    assert before == len(os.sched_getaffinity(0))
-    for name in ("sched_setaffinity", "sched_getaffinity"):
-        monkeypatch.delattr(os, name)
-    hold_to_one_core(process.pid)
-    assert cores_of(process.pid) is None
-    monkeypatch.undo()
-    assert cores_of(process.pid) == before
+    cores = [os.sched_getaffinity(int(task.name)) for task in Path(f"/proc/{process.pid}/task").iterdir()]
+    assert [len(each) for each in cores] == [1, 1]
+    assert cores[0] == cores[1]
 
 
 def test_the_real_node_is_measured_with_both_humans_and_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
-    monkeypatch.setattr(predictor_bench_node, "_SECONDS", 3.0)
-    monkeypatch.setattr(predictor_bench_node, "_SETTLING_S", 1.0)
+    monkeypatch.setattr(predictor_bench, "_SECONDS", 3.0)
+    monkeypatch.setattr(predictor_bench, "_SETTLING_S", 1.0)
     captured = mocap_library(3, 3, 40)
     recorded = replace(captured, motions=tuple(replace(m, label=None, index=k) for k, m in enumerate(captured)))
     runs = ((People.of(small_library(2, 4), 1), DEFAULT_PREDICTOR), (People.of(recorded, 1), TOLD))
@@ -111,6 +94,6 @@ def test_the_real_node_is_measured_with_both_humans_and_ended(tmp_path: Path, mo
         assert node["skipped"] == 61 - node["delay_ms"].n < 60
         assert 0.0 < node["slow_hz"] <= node["median_hz"]
         assert 0.0 < node["delay_ms"].median <= node["delay_ms"].p99
-        assert node["cores"] == (1 if hasattr(os, "sched_setaffinity") else None)
-        assert not node["cores"] or node["cpu_percent"] <= 110.0
+        assert node["one_core"] == hasattr(os, "sched_setaffinity")
+        assert not node["one_core"] or node["cpu_percent"] <= 110.0
     wait_until(lambda: not processes_with_environment(f"ROS_LOG_DIR={tmp_path}"), "the nodes to end", 10.0)

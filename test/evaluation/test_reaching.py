@@ -15,7 +15,7 @@ from rich.console import Console
 
 from humanpred_ros.cli import parse
 from humanpred_ros.errors import HumanPredError
-from humanpred_ros.evaluation.reaching_plot import draw_reaching
+from humanpred_ros.evaluation.reaching import draw_reaching
 from humanpred_ros.evaluation.reaching_runs import DISTANCES, PublishedRow
 from humanpred_ros.evaluation.reaching_weights import STATISTICS
 
