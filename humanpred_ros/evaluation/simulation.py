@@ -50,8 +50,8 @@ def predicted(predictor: Predictor, motion: Motion, threshold: float, n_held: in
 
 
 #: So long the person has been in the first posture when a run begins, s: the guard has made up its mind.
-_BEFORE_S = 4.0
-_STOP = "separation guard: the person is too close"
+_GUARDED_BEFORE_S = 4.0
+_GUARD_STOP = "separation guard: the person is too close"
 
 
 def drive(
@@ -105,7 +105,7 @@ def drive_guarded(
         return speed.follow(protective.separation([body], q, v, speed.factor).factor, t_s)
 
     postures, rest = motion.timeline(n_held)[1], np.zeros(len(scene.start))
-    for t_s in np.arange(-_BEFORE_S, 0.0, motion.period_s):
+    for t_s in np.arange(-_GUARDED_BEFORE_S, 0.0, motion.period_s):
         wanted(postures[0], float(t_s), scene.start, rest)
     replanner.set_factor(1.0, 0.0)
     replanner.start(scene.start, 0.0)
@@ -115,7 +115,7 @@ def drive_guarded(
         t_s = occupancy.t_s
         q, v, _ = replanner.state_at(t_s)
         factor = wanted(q_person, t_s, q, v)
-        stop = replanner.set_factor(factor, t_s, "" if factor else _STOP)
+        stop = replanner.set_factor(factor, t_s, "" if factor else _GUARD_STOP)
         if replanner.pace.changes[-1] != changes[-1]:
             changes.append(replanner.pace.changes[-1])
         if stop is not None:
