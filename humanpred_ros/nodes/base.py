@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from types import FrameType
@@ -34,6 +34,7 @@ from humanpred_ros.nodes import qos
 from humanpred_ros.nodes.in_process import HANDED_OVER, Link, LinkedPublisher
 from humanpred_ros.nodes.inputs import Change, Input, Refusals
 from humanpred_ros.nodes.lifecycle import ManagedNode
+from humanpred_ros.nodes.priority import come_first
 
 READY = "ready"
 _STATUS_PERIOD_S = 0.2
@@ -64,6 +65,7 @@ class GraphNode(ManagedNode):
 
     #: What is handed over in memory within the process, by full names of topics; None: nothing.
     links: dict[str, Link] | None = None
+    own_process = False  #: whether threads may be put before others
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
@@ -79,6 +81,10 @@ class GraphNode(ManagedNode):
         self._status_timer = self.create_timer(
             _STATUS_PERIOD_S, self.publish_status, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
+
+    def come_first(self, threads: Iterable[int]) -> str:
+        """Give threads the node's `real_time_priority`, in a process of its own; return what came of it."""
+        return come_first(self.get_parameter("real_time_priority").value if self.own_process else 0, threads)
 
     def listen(
         self,
@@ -308,6 +314,8 @@ def run_nodes(make_nodes: Callable[[], list[GraphNode]], arguments: list[str] | 
     signals = _Signals()
 
     def spin(node: GraphNode, executor: Executor) -> None:
+        if node is not nodes[0]:
+            come_first(0, [threading.get_native_id()])
         try:
             while rclpy.ok() and not signals.came:
                 _spin_once(executor, node)
@@ -322,6 +330,8 @@ def run_nodes(make_nodes: Callable[[], list[GraphNode]], arguments: list[str] | 
     try:
         _initialise(sys.argv if arguments is None else arguments)
         nodes = signals.nodes = make_nodes()
+        for node in nodes:
+            node.own_process = True
         # The others first: whoever is started before its peers would wait for them.
         for node in reversed(nodes):
             if not node.managed:

@@ -6,6 +6,7 @@ from typing import Literal
 
 from humanpred_ros.errors import SettingsError
 from humanpred_ros.nodes.lifecycle import NodeSettings
+from humanpred_ros.nodes.priority import PrioritySettings
 from humanpred_ros.planning.following import FollowingSettings
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.plugins import Given
@@ -13,7 +14,7 @@ from humanpred_ros.settings import setting, setting_of
 from humanpred_ros.stomp.config import StompConfig
 
 
-class StompPlannerSettings(NodeSettings):
+class StompPlannerSettings(PrioritySettings, NodeSettings):
     """Parameters of `stomp_planner`."""
 
     scene: str = setting(

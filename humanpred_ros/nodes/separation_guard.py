@@ -7,7 +7,6 @@ safety function. It is one more line of defence against planners that fail.
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections import deque
 
@@ -30,6 +29,7 @@ from humanpred_ros.nodes.lifecycle import NodeSettings
 from humanpred_ros.nodes.markers import separation_markers
 from humanpred_ros.nodes.measured_arm import MeasuredArm
 from humanpred_ros.nodes.parameters import declare
+from humanpred_ros.nodes.priority import PrioritySettings, threads_named
 from humanpred_ros.nodes.watched_people import PeopleSettings, WatchedPeople
 from humanpred_ros.planning.following import FollowingSettings
 from humanpred_ros.planning.protective_distance import (
@@ -51,17 +51,13 @@ _OBEYS_S = 0.05
 _KEPT = 512
 
 
-class SeparationGuardSettings(ProtectiveDistanceSettings, PeopleSettings, NodeSettings):
+class SeparationGuardSettings(ProtectiveDistanceSettings, PeopleSettings, PrioritySettings, NodeSettings):
     """Parameters of `separation_guard`."""
 
     scene: str = setting("face_to_face", "scene name in config/scenes, or a YAML file")
     rate_hz: float = setting(
         20.0, "the factor is published so often at least, and with every posture", unit="Hz", low=10.0, high=500.0
     )
-    real_time_priority: int = setting(
-        20, "the guard's threads come before all that are not of this kind, where the system allows it (SCHED_FIFO); "
-        "0 asks for nothing", low=0, high=99,
-    )  # fmt: skip
     max_arm_age_s: float = setting(
         0.3, "an arm whose joint states have not come for so long is a stop", unit="s", low=0.02, high=60.0
     )
@@ -95,7 +91,7 @@ class SeparationGuard(GraphNode):
         for k in range(2):
             person.see(lower, 0.1 * k)
         self.distance.separation([person], scene.start, 0.1 + 0.0 * scene.start, 1.0)
-        self.real_time = _real_time(settings.real_time_priority)  # compiling would keep others waiting
+        self.real_time = self.come_first(threads_named())  # compiling would keep others waiting
 
     def activate(self) -> None:
         settings, arm = self.settings, self.scene.arm
@@ -314,21 +310,6 @@ class SeparationGuard(GraphNode):
             self.marker_publisher.publish(
                 separation_markers(found.body_point_m, found.arm_point_m, text, factor, stamp)
             )
-
-
-def _real_time(priority: int) -> str:
-    """Let all threads of this process come before those that are not of this kind; return what came of it.
-
-    It works little and briefly: whoever is pushed aside does not notice.
-    """
-    if not priority:
-        return "not asked for"
-    try:
-        for thread in os.listdir("/proc/self/task"):
-            os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(priority))
-    except (OSError, AttributeError) as trouble:
-        return f"not allowed: {trouble}"
-    return f"priority {priority}"
 
 
 main = entry_point(SeparationGuard)

@@ -15,6 +15,7 @@ from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.guard_listener import GuardListener
 from humanpred_ros.nodes.lifecycle import NodeSettings
 from humanpred_ros.nodes.parameters import declare
+from humanpred_ros.nodes.priority import PrioritySettings, threads_named
 from humanpred_ros.nodes.trajectory_action import TrajectoryActionServer
 from humanpred_ros.nodes.trajectory_controller import ControllerSettings, TrajectoryController
 from humanpred_ros.robot.scene_file import read_scene_file, start_of
@@ -23,7 +24,7 @@ from humanpred_ros.settings import setting
 _GUARD_PERIOD_S = 0.02
 
 
-class SimulatedArmSettings(ControllerSettings, NodeSettings):
+class SimulatedArmSettings(ControllerSettings, PrioritySettings, NodeSettings):
     """Parameters of `simulated_arm`."""
 
     scene: str = setting("face_to_face", "scene whose start configuration the arm is in")
@@ -85,6 +86,7 @@ class SimulatedArm(GraphNode):
         else:
             self.create_timer(1.0 / rate_hz, self.publish_now)
         # Before /clock ticks (it may wait for us), the start configuration must already be known.
+        self.come_first(threads_named())  # as the controllers it stands in for do
         self.startup_timer = self.create_timer(0.1, self.publish_start, clock=steady)
 
     def deactivate(self) -> None:

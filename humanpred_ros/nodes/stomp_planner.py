@@ -28,6 +28,7 @@ from humanpred_ros.nodes.occupancy_topics import OccupancyInput, occupancy_of, s
 from humanpred_ros.nodes.operator_services import TASK_COSTS, OperatorServices, declare_task_costs, take_parameters
 from humanpred_ros.nodes.parameters import declare, plugin_parameters
 from humanpred_ros.nodes.planner_settings import StompPlannerSettings
+from humanpred_ros.nodes.priority import DDS, come_first, threads_named
 from humanpred_ros.nodes.seen_people import SeenPeople
 from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, MISSED, Decision
 from humanpred_ros.planning.replanner import NO_TIME, Replanner
@@ -91,6 +92,9 @@ class StompPlannerNode(CommandingNode):
         self._threads = [threading.Thread(target=self._guarded, args=(target,), daemon=True) for target in work]
         for thread in self._threads:
             thread.start()
+        # In a stepped run everybody waits for this node, and it plans in the thread that brings the messages.
+        watching = [] if settings.lossless else [threading.get_native_id(), *threads_named(DDS)]
+        self.real_time = self.come_first(watching)
 
     def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         return take_parameters(self, parameters)
@@ -122,13 +126,14 @@ class StompPlannerNode(CommandingNode):
             return self.operator.facts()
         answers = self.answers.facts(time.monotonic())
         error_rad = f"{self.arm.following.error_rad:.4f}"
-        facts = {"following_error_rad": error_rad, **self.operator.facts()}
+        facts = {"following_error_rad": error_rad, "real_time": self.real_time, **self.operator.facts()}
         return {**facts, **{f"answers/{name}": text for name, text in answers.items()}}
 
     def deactivate(self) -> None:
         """Stop the arm, which nobody is going to command any more."""
         stops = self.begun and not self.settings.lossless and self.context.ok()
         self._closing.set()
+        come_first(0, [threading.get_native_id()])
         if stops:
             with self.replanner.lock:
                 moves = not self.replanner.at_rest(self.now_s())
@@ -259,6 +264,7 @@ class StompPlannerNode(CommandingNode):
 
     def _plan(self) -> None:
         """Answer the newest occupancy, again and again."""
+        come_first(0, [threading.get_native_id()])
         while True:
             self._asked.wait()
             self._asked.clear()
@@ -306,6 +312,7 @@ class StompPlannerNode(CommandingNode):
 
     def _watch(self) -> None:
         """Hold when joint states, human data or finished steps have not come for too long."""
+        self.come_first([threading.get_native_id()])
         while not self._closing.wait(_WATCH_PERIOD_S):
             self.awake()
             self.guard.look()

@@ -34,9 +34,11 @@ from humanpred_ros import topics
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.processes import ParameterValue
 from humanpred_ros.nodes import conversions, qos
+from humanpred_ros.nodes.priority import DDS, come_first, threads_named
 
 _POLL_S = 0.01
 _ANSWER_S = 5.0
+_PRIORITY = 30
 #: Of each relayed topic: type, and whether it is taken from the node that publishes it, or for the one that listens.
 RELAYED: Mapping[str, tuple[Any, bool]] = {
     POSTURES: (JointState, True),
@@ -96,6 +98,8 @@ class Wire:
         rclpy.try_shutdown(context=self._context)
 
     def _spin(self) -> None:
+        # Who looks on, and passes on, must not be later than those who are looked at.
+        come_first(_PRIORITY, [threading.get_native_id(), *threads_named(DDS)])
         while not self._closing:
             self._executor.spin_once(timeout_sec=_POLL_S)
 
