@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 from humanpred_ros.settings import Settings, setting
@@ -24,9 +25,12 @@ class PrioritySettings(Settings):
 
 def threads_named(prefix: str = "") -> list[int]:
     """Return the system's ids of the threads of this process whose names begin so; none where it does not tell."""
-    if not _THREADS.exists():
-        return []
-    return [int(task.name) for task in _THREADS.iterdir() if (task / "comm").read_text().startswith(prefix)]
+    found = []
+    for task in _THREADS.iterdir() if _THREADS.exists() else ():
+        with suppress(OSError):  # one that has just ended
+            if (task / "comm").read_text().startswith(prefix):
+                found.append(int(task.name))
+    return found
 
 
 def come_first(priority: int, threads: Iterable[int]) -> str:
@@ -41,7 +45,8 @@ def come_first(priority: int, threads: Iterable[int]) -> str:
     """
     try:
         for thread in threads:
-            os.sched_setscheduler(thread, os.SCHED_FIFO if priority else os.SCHED_OTHER, os.sched_param(priority))
+            with suppress(ProcessLookupError):
+                os.sched_setscheduler(thread, os.SCHED_FIFO if priority else os.SCHED_OTHER, os.sched_param(priority))
     except (OSError, AttributeError) as trouble:
         return f"not allowed: {trouble}"
     return f"priority {priority}" if priority else "not asked for"

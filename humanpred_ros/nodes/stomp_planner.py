@@ -83,6 +83,7 @@ class StompPlannerNode(CommandingNode):
         self.people.clock, self.people.silence = self.occupancies.clock, self.occupancies.silence
         self.operator = OperatorServices(self)
         self.answers = Input(topics.DECISION)
+        self._busy = False  # with a step, which a stop must not wait for
         self._closing, self._asked = threading.Event(), threading.Event()
         # With how many holds there were before it came: an older one ends none.
         self._newest: deque[tuple[Occupancy, int, float, int]] = deque(maxlen=1)
@@ -196,9 +197,14 @@ class StompPlannerNode(CommandingNode):
         self.holding = False
         if lossless:
             self._answer(occupancy, stamp_ns, received_s, self.n_holds)
-        else:
+            return
+        with self.replanner.lock:
+            reason = self.replanner.too_close(occupancy, self.now_s()) if self._busy else ""
+            if reason:
+                self._note_hold(reason)
+                self.publish(self.replanner.hold(self.now_s(), reason), stamp_ns, received_s)
             self._newest.append((occupancy, stamp_ns, received_s, self.n_holds))
-            self._asked.set()
+        self._asked.set()
 
     def _begin(self, stamp_ns: int, received_s: float, anew: bool) -> bool:
         """Let the time of `stamp_ns` be zero, and the arm begin where it was measured; return whether it can."""
@@ -272,8 +278,10 @@ class StompPlannerNode(CommandingNode):
                 return
             with self.replanner.lock:  # a hold forgets it
                 newest = self._newest.pop() if self._newest else None
+                self._busy = newest is not None
             if newest is not None:
                 self._answer(*newest)
+                self._busy = False
 
     def _answer(self, occupancy: Occupancy, stamp_ns: int, received_s: float, n_holds: int) -> None:
         """Publish the decision on an occupancy that came after so many holds; it ends none that came later."""

@@ -194,13 +194,11 @@ class Replanner:
             if self.blocked:
                 return replace(self.hold(now_s, self.blocked), stamp_s=stamp_s)
             stops, pace = state.stops, state.pace
-        seen_s, from_s, t_switch_s = pace.progress([stamp_s, now_s, stamp_s + self.config.period_s])
         person = self.problem.person(occupancy)
-        # Without a goal ahead the robot stops already, or gets out of the way as well as it can.
-        if state.leads_to is not None:
-            reason = person.stop_reason(state.schedule, from_s, t_switch_s)
-            if reason:
-                return replace(self.hold(now_s, reason), stamp_s=stamp_s)
+        reason = self._too_close(state, person, now_s)
+        if reason:
+            return replace(self.hold(now_s, reason), stamp_s=stamp_s)
+        seen_s, t_switch_s = pace.progress([stamp_s, stamp_s + self.config.period_s])
         if not (state.due(stamp_s) or person.calls_for_replanning(state.schedule, seen_s, t_switch_s)):
             return self.keep(occupancy)
         decision = self._planned(state, person, deadline)  # lines 4 to 6
@@ -212,6 +210,13 @@ class Replanner:
                 return self.missed(decision)
             self.commit(decision)  # line 7
             return decision
+
+    def too_close(self, occupancy: Occupancy, now_s: float) -> str:
+        """Return why the robot must stop at once, before `respond` can answer an occupancy; empty if it need not.
+
+        For those who do not want to wait for a step that is being planned with an older one.
+        """
+        return self._too_close(self._check(occupancy), self.problem.person(occupancy), now_s)
 
     def plan(self, occupancy: Occupancy, deadline: Callable[[], bool] | None = None) -> Decision:
         """Plan to every goal and choose (lines 4 to 6 of Algorithm 1); nothing changes until `commit`.
@@ -407,6 +412,14 @@ class Replanner:
         """End the threads; the replanner cannot plan any more."""
         if self.problem.pool is not None:
             self.problem.pool.shutdown()
+
+    def _too_close(self, state: State, person: Person, now_s: float) -> str:
+        # Without a goal ahead the robot stops already, or gets out of the way as well as it can.
+        if state.leads_to is None:
+            return ""
+        stamp_s = person.occupancy.t_s
+        from_s, t_switch_s = state.pace.progress([now_s, stamp_s + self.config.period_s])
+        return person.stop_reason(state.schedule, from_s, t_switch_s)
 
     def _planned(self, state: State, person: Person, deadline: Callable[[], bool] | None) -> Decision:
         began = time.perf_counter()

@@ -18,7 +18,7 @@ from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.robot.scene import load_scene
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
-from planner_client import NS, PlannerClient, nobody
+from planner_client import NS, PlannerClient, nobody, somebody, voxels_near
 
 from humanpred_ros.nodes import conversions
 
@@ -231,6 +231,35 @@ def test_bad_data_hold_while_a_step_is_planned(tmp_path: Path) -> None:
         planned = next(d for d in client.decisions if d.stamp_ns == due_ns)
         assert (planned.action, planned.reason[:18]) == ("hold", "invalid human data")
         assert_no_motion(client)
+
+
+def test_a_stop_does_not_wait_for_a_step_that_is_being_planned(tmp_path: Path) -> None:
+    slow = {**QUICK, "iterations": 10_000, "period_s": 4.0, "max_human_age_s": 20.0, "max_arm_age_s": 20.0}
+    slow["velocity_scale"] = 0.03  # under way for long
+    with PlannerClient(tmp_path, SCENE, slow) as client:
+        client.settle_arm()
+        first_ns = client.now_ns()
+        client.send_until(
+            lambda: client.send_cloud(good_cloud(client.now_ns())), lambda: bool(client.trajectories), "a plan"
+        )
+        client.wait(lambda: client.now_ns() - stamp(client.trajectories[-1]) > 5 * NS, "the arm to be on its way")
+        executing, now_s = client.executing(first_ns), (client.now_ns() - first_ns) * 1e-9
+        here, soon = (executing.sample(now_s + wait_s)[0] for wait_s in (1.0, 5.0))
+        person = somebody(SCENE, np.setdiff1d(voxels_near(SCENE, soon, 0.03), voxels_near(SCENE, here, 0.1)))
+        n_before = len(client.decisions)
+        due_ns = client.now_ns()
+        client.send_cloud(good_cloud(due_ns))
+        client.wait(lambda: client.now_ns() - due_ns > NS // 4, "the step to begin")
+
+        def step_in_front() -> None:
+            client.send_cloud(conversions.occupancy_cloud(person, 0.0, client.now_ns()))
+
+        client.send_until(
+            step_in_front,
+            lambda: any(d.reason.startswith("too close") for d in client.decisions[n_before:]),
+            "a stop",
+        )
+        assert not any(d.stamp_ns == due_ns for d in client.decisions)  # the step is still being planned
 
 
 def test_a_machine_too_busy_to_finish_a_step_holds(tmp_path: Path) -> None:
