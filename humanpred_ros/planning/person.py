@@ -92,7 +92,8 @@ class Person:
     def stop_reason(self, schedule: Schedule, from_s: float, to_s: float) -> str:
         """Return why the robot must stop at once: it would come too close to the person before `to_s`. Else empty.
 
-        An arm that is too close already, because the person came to it, is stopped only if it comes closer itself.
+        An arm that is too close already, because the person came to it, is stopped only if it comes closer itself; one
+        that is within them, where nothing tells what is closer, unless it gets out of there.
         """
         for begin_s, end_s, trajectory in schedule.pieces(from_s, to_s):
             if trajectory.end_s <= begin_s:
@@ -101,8 +102,9 @@ class Person:
             if trouble is None:
                 continue
             here = float(self.certain_gap_m(schedule.state_at(from_s)[0][None])[0])
-            coming = trajectory.sample(np.linspace(begin_s, end_s, _LOOKS))[0]
-            if float(self.certain_gap_m(coming).min()) < min(self._config.min_separation_m, here - _CLOSER_M):
+            coming = self.certain_gap_m(trajectory.sample(np.linspace(begin_s, end_s, _LOOKS))[0])
+            closer = float(coming.min()) < min(self._config.min_separation_m, here - _CLOSER_M)
+            if closer or coming[-1] <= here < 0.0:
                 return f"too close: {trouble}"
         return ""
 

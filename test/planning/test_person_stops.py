@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from planning_worlds import free_space, nobody, planar_arm, somebody_at
 
+from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.planning.motion_check import MotionChecker
 from humanpred_ros.planning.person import Person
 from humanpred_ros.planning.replanner_config import ReplannerConfig
@@ -45,6 +46,13 @@ def test_an_arm_at_rest_is_not_stopped() -> None:
 def test_an_arm_that_leaves_a_person_who_came_to_it_is_not_stopped() -> None:
     # The person is at the arm's right side, the arm turns to the left.
     assert person(-0.1).stop_reason(schedule(), 0.1, 0.5) == ""
+
+
+def test_an_arm_that_is_within_a_person_however_it_moves_is_stopped() -> None:
+    everywhere = Occupancy(nobody().grid, np.ones_like(nobody().probability))
+    subject = Person(everywhere, CHECKER, CONFIG)
+    assert subject.stop_reason(schedule(), 0.1, 0.5).startswith("too close: ")
+    assert subject.stop_reason(schedule(from_s=5.0), 0.1, 0.5) == ""  # it rests
 
 
 @pytest.mark.parametrize(
