@@ -11,12 +11,12 @@ stops the arm for who comes close and lets them touch an arm that stands: such a
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.framework import Begin, Column, Report, Table, chosen_names
 from humanpred_ros.evaluation.interference_runs import (
     BASIC,
@@ -27,24 +27,29 @@ from humanpred_ros.evaluation.interference_runs import (
     Runs,
     RunTask,
     method_figures,
+    read_table1,
 )
 from humanpred_ros.evaluation.outputs import library_facts
 from humanpred_ros.evaluation.parallel import map_processes
-from humanpred_ros.evaluation.run_plots import draw_interference
-from humanpred_ros.evaluation.simulation import METHODS, RunSettings, SimulationSettings, first_of_classes
-from humanpred_ros.motion.csv_files import read_records
+from humanpred_ros.evaluation.simulation import (
+    METHODS,
+    RunSettings,
+    SimulationSettings,
+    first_of_classes,
+)
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.settings import setting
+from humanpred_ros.viewing.figures import ALARM, INK, MUTED, SERIES, new_figure, note, plain_powers
 
 #: Table I's scene.
 TABLE_SCENE = "side_by_side"
-#: Where the papers' data folder keeps Table I, relative to the folder that a library lies in, and its name of ours.
-TABLE1_BESIDE_LIBRARY = Path("reference") / "table1_runs.csv"
-_PUBLISHED_OURS = "least_penetration"
 #: A person's way crosses the arm's if basic STOMP comes closer than this.
 CROSSING_M = 0.10
 #: So many are listed of what may be many: contacts of methods that do not predict, and runs that reach no goal.
 _LISTED = 20
+#: What stands for a cost of zero on a logarithmic axis.
+_SMALLEST_COST = 1e-4
 
 
 class InterferenceSettings(SimulationSettings):
@@ -140,37 +145,6 @@ def _table_seeds(library: MotionLibrary, settings: InterferenceSettings) -> dict
     names = [library.find(motion).name for motion in settings.table_motions]
     n = settings.table_runs
     return {name: range(k * n, (k + 1) * n) for k, name in enumerate(dict.fromkeys(names))} if n else {}
-
-
-def read_table1(folder: Path) -> dict[int, dict[str, float]]:
-    """Return P1's Table I by global id: mean and sd of both planners and their ratio; empty if it is not in a folder.
-
-    Raises:
-        UsageError: a file without the columns human_traj_id, planner, run and cost.
-        LibraryFormatError: a file that cannot be read, or is empty.
-    """
-    path = folder / TABLE1_BESIDE_LIBRARY
-    if not path.is_file():
-        return {}
-    costs: dict[int, dict[str, list[float]]] = {}
-    try:
-        for row in read_records(path):
-            planner = "ours" if row["planner"] == _PUBLISHED_OURS else "basic"
-            costs.setdefault(int(row["human_traj_id"]), {"ours": [], "basic": []})[planner].append(float(row["cost"]))
-        if not all(len(values) for of_motion in costs.values() for values in of_motion.values()):
-            raise ValueError("a trajectory with the runs of one planner only")
-    except (KeyError, ValueError) as trouble:
-        raise UsageError(
-            f"{path}: wanted a CSV file with the columns human_traj_id, planner ({_PUBLISHED_OURS} and another), run "
-            f"and cost, got {type(trouble).__name__}: {trouble}; correct or remove it"
-        ) from trouble
-    rows = {}
-    for number, of_motion in costs.items():
-        rows[number] = {f"{name}_mean": float(np.mean(values)) for name, values in of_motion.items()}
-        for name, values in of_motion.items():
-            rows[number][f"{name}_sd"] = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
-        rows[number]["ratio"] = rows[number]["basic_mean"] / rows[number]["ours_mean"]
-    return rows
 
 
 Pairs = Sequence[tuple[RunTask, PersonOutcome]]
@@ -347,3 +321,80 @@ def _unreached_tables(rows: Sequence[dict[str, Any]]) -> list[Table]:
     more = f"and {len(rows) - _LISTED} more" if len(rows) > _LISTED else ""
     title = f"Predicting runs that end at no goal: {len(rows)}"
     return [Table(title, rows[:_LISTED], columns, more)] if rows else []
+
+
+def draw_interference(
+    table1: Sequence[Mapping[str, Any]], comparison: Sequence[Mapping[str, Any]], figures: Mapping[str, Any]
+) -> Figure:
+    """Return the plot: Table I's costs beside the published, and how close and how late; parts without data say so."""
+    figure = new_figure(6.4)
+    above, below = figure.subplots(2, 1)
+    _draw_costs(above, table1)
+    cells = below.get_subplotspec().subgridspec(1, 2)
+    below.remove()
+    distance, time = (figure.add_subplot(cell) for cell in cells)
+    methods = [f["method"] for f in comparison[0]["methods"]] if comparison else []
+    motions = set(figures["compared_motions"])
+    runs = [[one for one in figures["runs"] if one.method == name and one.motion in motions] for name in methods]
+    near = [np.array([one.least_distance_m for one in some]) for some in runs]
+    late = [np.array([one.time_to_goal_s for one in some]) for some in runs]
+    _draw_runs(distance, methods, near, "least distance to the human, m")
+    if methods:
+        distance.axvline(0.0, color=ALARM, linewidth=1.0)
+    _draw_runs(time, methods, late, "time to goal, s")
+    return figure
+
+
+def _draw_costs(axes: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
+    axes.set_title("human occupancy of the executed motion (P1 Table I), mean and standard deviation")
+    if not rows:
+        note(axes, "Table I was left out")
+        return
+    series = {f"{name}, here": [row["methods"][name] for row in rows] for name in TABLE_METHODS}
+    here = {name: [(f["cost_mean"], f["cost_sd"]) for f in values] for name, values in series.items()}
+    theirs = {}
+    if all(row["published"] for row in rows):
+        for name in ("ours", BASIC):
+            theirs[f"{name}, published"] = [
+                (r["published"][f"{name}_mean"], r["published"][f"{name}_sd"]) for r in rows
+            ]
+    width = 0.8 / (len(here) + len(theirs))
+    for k, (name, values) in enumerate({**theirs, **here}.items()):
+        mean, sd = np.array(values).T
+        x = np.arange(len(rows)) + (k - (len(here) + len(theirs) - 1) / 2.0) * width
+        low = np.minimum(sd, mean - np.maximum(mean / 10.0, _SMALLEST_COST / 2.0))  # an error bar stays on the axis
+        faint: dict[str, Any] = {"alpha": 0.45, "hatch": "//"} if name in theirs else {}
+        axes.bar(
+            x, np.maximum(mean, _SMALLEST_COST), 0.92 * width, yerr=np.stack([np.maximum(low, 0.0), sd]),
+            error_kw={"elinewidth": 0.8, "ecolor": INK}, color=SERIES[k % len(SERIES)], edgecolor="white", label=name,
+            **faint,
+        )  # fmt: skip
+    axes.set_yscale("log")
+    plain_powers(axes.yaxis)
+    axes.set_xticks(np.arange(len(rows)), [str(row["number"]) for row in rows])
+    axes.set_xlabel("human trajectory")
+    axes.set_ylabel("cost")
+    axes.legend(ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.08))
+
+
+def _draw_runs(axes: Axes, methods: Sequence[str], values: Sequence[FloatArray], label: str) -> None:
+    if not methods:
+        note(axes, "the comparison was left out")
+        return
+    for row, (method, all_runs) in enumerate(zip(methods, values, strict=True)):
+        finite = all_runs[np.isfinite(all_runs)]
+        spread = ((np.arange(len(finite)) * 0.618) % 1.0 - 0.5) * 0.5  # side by side without chance
+        axes.plot(finite, row + spread, ".", color=SERIES[row % len(SERIES)], markersize=3.0, alpha=0.6)
+        median = float(np.median(all_runs))
+        if np.isfinite(median):
+            axes.plot([median, median], [row - 0.35, row + 0.35], color=INK, linewidth=2.0)
+        never = len(all_runs) - len(finite)
+        if never:
+            axes.text(0.99, row, f"{never} never", transform=axes.get_yaxis_transform(), ha="right", color=MUTED)
+        axes.text(-0.02, row, method, transform=axes.get_yaxis_transform(), ha="right", va="center")
+    if not all(np.isfinite(numbers).all() for numbers in values):
+        low, high = axes.get_xlim()
+        axes.set_xlim(low, high + 0.15 * (high - low))  # room for the runs that never arrive
+    axes.set_yticks([])
+    axes.set_ylim(len(methods) - 0.4, -0.6)
+    axes.set_xlabel(label + "; the bar is the median")

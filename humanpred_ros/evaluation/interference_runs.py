@@ -8,10 +8,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.run_figures import ExecutedMotion, RunEvaluator, RunFigures
 from humanpred_ros.evaluation.simulation import (
     METHODS,
@@ -22,6 +24,7 @@ from humanpred_ros.evaluation.simulation import (
     drive_guarded,
     held_postures,
     nobody,
+    read_published,
 )
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy
@@ -44,6 +47,9 @@ PREDICTING = ("ours", "ours_p1")
 GUARDED = ("guard", "ours_guard")
 #: Whose prediction after the last posture every run is measured with, as in P1's Table I.
 _MEASURE = "swept_volume"
+#: Where the papers' data folder keeps Table I, relative to the folder that a library lies in, and its name of ours.
+TABLE1_BESIDE_LIBRARY = Path("reference") / "table1_runs.csv"
+_PUBLISHED_OURS = "least_penetration"
 #: Waypoints of a straight line that is tried.
 _WAYPOINTS = 40
 #: Configurations to leave for that are tried, and how far each joint may turn, rad.
@@ -189,6 +195,29 @@ def method_figures(method: str, runs: Sequence[RunFigures]) -> dict[str, Any]:
 
 def _ratio(basic: float | np.floating[Any], mine: float | np.floating[Any]) -> float:
     return float(basic / mine) if mine > 0.0 else np.nan
+
+
+def read_table1(folder: Path) -> dict[int, dict[str, float]]:
+    """Return P1's Table I by global id: mean and sd of both planners and their ratio; empty if it is not in a folder.
+
+    Raises:
+        UsageError: a file without the columns human_traj_id, planner and cost, or with the runs of one planner only.
+        LibraryFormatError: a file that cannot be read, or is empty.
+    """
+    path = folder / TABLE1_BESIDE_LIBRARY
+    costs: dict[int, dict[str, list[float]]] = {}
+    for number, planner, cost in read_published(path, human_traj_id=int, planner=str, cost=float):
+        of_motion = costs.setdefault(number, {"ours": [], "basic": []})
+        of_motion["ours" if planner == _PUBLISHED_OURS else "basic"].append(cost)
+    if not all(len(values) for of_motion in costs.values() for values in of_motion.values()):
+        raise UsageError(f"{path}: wanted runs of both planners of every trajectory; complete it")
+    rows = {}
+    for number, of_motion in costs.items():
+        rows[number] = {f"{name}_mean": float(np.mean(values)) for name, values in of_motion.items()}
+        for name, values in of_motion.items():
+            rows[number][f"{name}_sd"] = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
+        rows[number]["ratio"] = rows[number]["basic_mean"] / rows[number]["ours_mean"]
+    return rows
 
 
 def find_avoidance(evaluator: RunEvaluator, config: ReplannerConfig, seed: int = 0) -> Avoidance:

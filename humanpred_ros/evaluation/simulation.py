@@ -8,17 +8,21 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.framework import LibrarySettings
 from humanpred_ros.evaluation.leave_one_out import LeaveOneOut
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
 from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.csv_files import read_records
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.occupancy.predictor import Predictor, predictor_type
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
@@ -269,6 +273,24 @@ class World:
         """Return the voxels that the body really sweeps in a motion, stamped with its end."""
         mask = BodyVoxeliser(self.human, scene.grid, scene.T_world_human).mask(motion.q)
         return Occupancy(scene.grid, mask.astype(np.float32), motion.duration_s)
+
+
+def read_published(path: Path, **columns: Callable[[str], Any]) -> list[tuple[Any, ...]]:
+    """Return the rows of a published table as tuples of these columns; empty if there is no such file.
+
+    Raises:
+        UsageError: a file without these columns, or with values that they cannot have.
+        LibraryFormatError: a file that cannot be read, or is empty.
+    """
+    if not path.is_file():
+        return []
+    try:
+        return [tuple(kind(row[name]) for name, kind in columns.items()) for row in read_records(path)]
+    except (KeyError, ValueError) as trouble:
+        raise UsageError(
+            f"{path}: wanted a CSV file with the columns {', '.join(columns)}, got {type(trouble).__name__}: {trouble};"
+            " correct or remove it"
+        ) from trouble
 
 
 def training_library(library: MotionLibrary, hold_out: int, group: int = 0) -> MotionLibrary:

@@ -18,13 +18,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.framework import Begin, Column, Report, Table
 from humanpred_ros.evaluation.outputs import library_facts
 from humanpred_ros.evaluation.parallel import map_processes
-from humanpred_ros.evaluation.run_plots import draw_switching
-from humanpred_ros.evaluation.simulation import METHODS, RunSettings, SimulationSettings, first_of_classes, group_of
+from humanpred_ros.evaluation.simulation import (
+    METHODS,
+    RunSettings,
+    SimulationSettings,
+    first_of_classes,
+    group_of,
+    read_published,
+)
 from humanpred_ros.evaluation.switching_runs import (
     CURRENT,
     FIG9_VARIANTS,
@@ -36,15 +44,17 @@ from humanpred_ros.evaluation.switching_runs import (
     SwitchTask,
     curves,
     first_switch,
+    steps_earlier,
     variant_figures,
 )
-from humanpred_ros.motion.csv_files import read_records
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.settings import setting
+from humanpred_ros.viewing.figures import DASHES, INK, MARKERS, SERIES, goal_colours, new_figure, note, plain_powers
 
 #: Where the papers' data folder keeps Fig. 9, relative to the folder that a library lies in.
 FIG9_BESIDE_LIBRARY = Path("reference") / "fig9_costs.csv"
+_PLOT_COLUMNS = 3
 #: Title of the persons who take the goal that the arm would choose; elsewhere every choice is right from step 1.
 CONTESTED = "motions that take the goal the arm would choose"
 
@@ -140,26 +150,22 @@ def read_fig9(folder: Path) -> dict[str, Any] | None:
             for every step.
     """
     path = folder / FIG9_BESIDE_LIBRARY
-    if not path.is_file():
+    rows = read_published(path, variant=str, step=int, goal=int, cup=str, cost=float)
+    if not rows:
         return None
+    names = {goal: cup for _, _, goal, cup, _ in rows}
+    found = {(variant, step, goal): cost for variant, step, goal, _, cost in rows}
+    steps = range(1, len({step for _, step, *_ in rows}) + 1)
     try:
-        rows = [(r["variant"], int(r["step"]), int(r["goal"]), r["cup"], float(r["cost"])) for r in read_records(path)]
-        if any(not 1 <= step <= len(rows) for _, step, _, _, _ in rows):
-            raise ValueError("a step that is not counted from 1")
-        names = {goal: cup for _, _, goal, cup, _ in rows}
-        n_steps = max(step for _, step, _, _, _ in rows)
-        costs = {variant: np.full((n_steps, len(names)), np.nan) for variant in FIG9_VARIANTS.values()}
-        for variant, step, goal, _, cost in rows:
-            costs[variant][step - 1, goal] = cost
-    except (KeyError, IndexError, ValueError) as trouble:
+        costs = {
+            key: np.array([[found[name, step, goal] for goal in sorted(names)] for step in steps])
+            for key, name in FIG9_VARIANTS.items()
+        }
+    except KeyError as lacking:
         raise UsageError(
-            f"{path}: wanted a CSV file with the columns variant, step, goal, cup and cost, got "
-            f"{type(trouble).__name__}: {trouble}; correct or remove it"
-        ) from trouble
-    if not all(np.isfinite(array).all() for array in costs.values()):
-        wanted = " and ".join(FIG9_VARIANTS.values())
-        raise UsageError(f"{path}: wanted a cost for every step and goal of {wanted}; complete it")
-    return {"goals": [names[goal] for goal in sorted(names)]} | {k: costs[name] for k, name in FIG9_VARIANTS.items()}
+            f"{path}: wanted a cost for every step (from 1) and goal, there is none of {lacking}; complete it"
+        ) from lacking
+    return {"goals": [names[goal] for goal in sorted(names)]} | costs
 
 
 def _shown_as(key: str) -> Callable[[dict[str, Any]], str]:
@@ -200,3 +206,68 @@ def _figure_tables(
         Table(title, range(n_steps), columns),
         Table.of_rows("Step of the first switch", ["by", "seed 0", "all seeds", "published"], switches),
     ]
+
+
+def draw_switching(
+    figure: Person | None,
+    goals: Sequence[str],
+    published: Mapping[str, Any] | None,
+    contested: Sequence[Person],
+    n_steps: int,
+) -> Figure:
+    """Return the plot: the goals' costs as in P1's Fig. 9, and how many steps are gained; parts without data say so."""
+    panels = [] if figure is None else curves(figure, goals, published)
+    n_rows = max(1, -(-(len(panels) + 1) // _PLOT_COLUMNS))
+    drawing = new_figure(3.0 * n_rows)
+    cells = drawing.subplots(n_rows, _PLOT_COLUMNS, squeeze=False).ravel()
+    positive = np.concatenate([panel.costs[panel.costs > 0.0] for panel in panels] or [np.zeros(0)])
+    limits = (positive.min() / 2.0, positive.max() * 2.0) if len(positive) else (0.1, 1.0)
+    for axes, panel in zip(cells, panels, strict=False):
+        _draw_goal_costs(axes, panel, limits)
+    gained = {
+        variant: [steps_earlier(p.run(variant).figures, p.run(CURRENT).figures, n_steps) for p in contested]
+        for variant in VARIANTS
+        if variant != CURRENT
+    }
+    _draw_gained(cells[len(panels)], gained if contested else {})
+    for axes in cells[len(panels) + 1 :]:
+        axes.remove()
+    return drawing
+
+
+def _draw_goal_costs(axes: Axes, curve: Curve, limits: tuple[float, float]) -> None:
+    colours = goal_colours(curve.goals)
+    for k, goal in enumerate(curve.goals):
+        costs = curve.costs[:, k]
+        axes.plot(
+            np.arange(1, len(costs) + 1), np.where(costs > 0.0, costs, np.nan), color=colours[goal],
+            linestyle=DASHES[k % len(DASHES)], marker=MARKERS[k % len(MARKERS)], markersize=3.0, label=goal,
+        )  # fmt: skip
+    if curve.switch is not None:
+        axes.axvline(curve.switch, color=INK, linewidth=1.0)
+        axes.annotate(f" switch: {curve.switch}", (curve.switch, limits[1]), va="top", fontsize=8.0)
+    axes.set_yscale("log")
+    plain_powers(axes.yaxis)
+    axes.set_ylim(*limits)
+    axes.set_xlim(0.5, max(20, len(curve.costs)) + 0.5)
+    axes.set_title(curve.title)
+    axes.set_xlabel("replanning step")
+    axes.set_ylabel("cost")
+    axes.legend(loc="lower left")
+
+
+def _draw_gained(axes: Axes, gained: Mapping[str, Sequence[int]]) -> None:
+    if not gained:
+        note(axes, "no motion was shown in which\nsomething is to be decided")
+        return
+    everything = np.concatenate([np.asarray(steps) for steps in gained.values()])
+    axes.hist(
+        [np.asarray(steps) for steps in gained.values()],
+        bins=(np.arange(everything.min(), everything.max() + 2) - 0.5).tolist(),
+        color=list(SERIES[: len(gained)]),
+        label=[f"{variant}, median {np.median(steps):g}" for variant, steps in gained.items()],
+    )
+    axes.set_title("right earlier than current")
+    axes.set_xlabel("replanning steps")
+    axes.set_ylabel("motions that take the default goal")
+    axes.legend()

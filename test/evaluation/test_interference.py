@@ -19,10 +19,9 @@ from small_library import small_library
 
 from humanpred_ros.errors import HumanPredError, SettingsError, UsageError
 from humanpred_ros.evaluation.framework import Report, present
-from humanpred_ros.evaluation.interference import InterferenceSettings, measure, tasks_of
+from humanpred_ros.evaluation.interference import InterferenceSettings, draw_interference, measure, tasks_of
 from humanpred_ros.evaluation.interference_runs import Runs, RunTask
 from humanpred_ros.evaluation.run_figures import RunFigures
-from humanpred_ros.evaluation.run_plots import draw_interference
 from humanpred_ros.evaluation.simulation import METHODS, RunSettings, World, training_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.planning.replanner_config import ReplannerConfig

@@ -8,7 +8,7 @@ import pytest
 from paths import shared_data
 
 from humanpred_ros.errors import HumanPredError, UsageError
-from humanpred_ros.evaluation.interference import read_table1
+from humanpred_ros.evaluation.interference_runs import read_table1
 from humanpred_ros.evaluation.switching import read_fig9
 from humanpred_ros.evaluation.switching_runs import first_switch
 
@@ -36,15 +36,17 @@ def test_what_is_not_there_is_no_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["human_traj_id,planner,run\n25,basic,1\n", "human_traj_id,planner,run,cost\n25,basic,1,2.0\n", "\n"],
-    ids=["column", "planner", "empty"],
+    ("text", "wanted"),
+    [
+        ("human_traj_id,planner,run\n25,basic,1\n", "columns human_traj_id"),
+        ("human_traj_id,planner,run,cost\n25,basic,1,2.0\n", "both planners"),
+        ("\n", "an empty file"),
+    ],
 )
-def test_a_wrong_table1_is_refused(tmp_path: Path, text: str) -> None:
+def test_a_wrong_table1_is_refused(tmp_path: Path, text: str, wanted: str) -> None:
     (tmp_path / "reference").mkdir()
     path = tmp_path / "reference" / "table1_runs.csv"
     path.write_text(text, encoding="utf-8")
-    wanted = "an empty file" if text == "\n" else "columns human_traj_id"
     with pytest.raises(HumanPredError, match=rf"table1_runs\.csv: wanted .*{wanted}"):
         read_table1(tmp_path)
 

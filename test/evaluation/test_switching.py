@@ -16,9 +16,8 @@ from small_library import small_library
 
 from humanpred_ros.errors import SettingsError, UsageError
 from humanpred_ros.evaluation.framework import Report, present
-from humanpred_ros.evaluation.run_plots import draw_switching
 from humanpred_ros.evaluation.simulation import RunSettings
-from humanpred_ros.evaluation.switching import SwitchingSettings, measure, tasks_of
+from humanpred_ros.evaluation.switching import SwitchingSettings, draw_switching, measure, tasks_of
 from humanpred_ros.evaluation.switching_runs import VARIANTS, Choosing, SwitchTask
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.planning.replanner_config import ReplannerConfig
