@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState, PointCloud2
+from sent_trajectories import trajectory_from_message
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
@@ -105,7 +106,7 @@ class PlannerClient(NodeClient):
 
     def executing(self, origin_ns: int) -> TimedTrajectory:
         """Return the trajectory sent last, in seconds after `origin_ns`."""
-        return conversions.trajectory_from_message(self.trajectories[-1], self.joint_names, origin_ns)
+        return trajectory_from_message(self.trajectories[-1], self.joint_names, origin_ns)
 
     def watch_rollouts(self) -> None:
         """Subscribe to the rollouts; returns when the planner has noticed."""

@@ -19,7 +19,6 @@ from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.cleaning import clean_library, flag_library
 from humanpred_ros.motion.csv_files import UNITS
 from humanpred_ros.motion.library_io import DEFAULT_FRAME_PERIOD_S, load_library
-from humanpred_ros.motion.library_statistics import comparison_markdown
 from humanpred_ros.motion.marker_files import SUFFIXES, MarkerRecording, read_marker_file
 from humanpred_ros.motion.marker_import import MarkerReader, class_of, read_names
 from humanpred_ros.motion.motion import Motion, MotionLibrary, is_angle, require_plain_name
@@ -287,18 +286,14 @@ class GenerateSettings(Settings):
     out: Path = setting(..., "bag to write")
     motions: int = setting_of(ReachGeneratorConfig, "motions_per_class", description="motions per class")
     seed: int = setting(0, "of all random draws", low=0, high=LARGEST_SEED)
-    compare: str | None = setting(None, "library whose statistics are printed beside the new one's")
     overwrite: bool = setting(False, "replace a bag that exists")
 
 
 def generate(settings: GenerateSettings, console: Console) -> int:
     """Make a synthetic motion library by simulation."""
-    other = load_library(settings.compare) if settings.compare else None
     config = ReachGeneratorConfig(motions_per_class=settings.motions, name=settings.out.name)
     with console.status(f"generating {settings.motions} motions per class"):
         library = generate_library(config, np.random.default_rng(settings.seed))
     write_library_bag(library, settings.out, overwrite=settings.overwrite)
     console.print(f"{settings.out}: {len(library)} motions, seed {settings.seed}")
-    if other is not None:
-        print(comparison_markdown(library, other))
     return 0

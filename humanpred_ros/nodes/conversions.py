@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from humanpred_ros.errors import ArrayError, PlanningError
+from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid, codes_of, probability_of_code
 from humanpred_ros.planning.decision import Decision
@@ -277,39 +277,6 @@ def trajectory_message(names: Sequence[str], trajectory: TimedTrajectory, origin
             )
         )
     return message
-
-
-def trajectory_from_message(
-    message: JointTrajectory, names: Sequence[str], origin_ns: int, now_ns: int | None = None
-) -> TimedTrajectory:
-    """Return the trajectory of a message, with times in seconds after `origin_ns`.
-
-    Refuses what a joint trajectory controller refuses, and what leaves open how the robot moves between
-    points: missing velocities or accelerations, or a last acceleration that is not 0.
-
-    Args:
-        names: joints wanted; the message may have them in any order.
-        now_ns: refuse trajectories that are over by then; None takes them.
-
-    Raises:
-        PlanningError: with the reason.
-    """
-    refusal = controller_refusal(message, names, now_ns)
-    if refusal:
-        raise PlanningError(refusal)
-    column = [list(message.joint_names).index(name) for name in names]
-    start_ns = stamp_ns(message.header.stamp) - origin_ns
-    knots: list[list[Any]] = [[], [], [], []]
-    for point in message.points:
-        row = (point.positions, point.velocities, point.accelerations)
-        if any(len(part) != len(names) for part in row):
-            raise PlanningError(f"trajectory: wanted {len(names)} positions, velocities and accelerations per point")
-        knots[0].append((start_ns + stamp_ns(point.time_from_start)) * 1e-9)
-        for k, part in enumerate(row):
-            knots[k + 1].append(part)
-    t_s, q, v, a = (np.array(part, dtype=np.float64) for part in knots)
-    v[-1] = 0.0  # to within float32's resolution it is
-    return TimedTrajectory(t_s, q[:, column], v[:, column], a[:, column])
 
 
 def controller_refusal(message: Any, joint_names: Sequence[str], now_ns: int | None = None) -> str:

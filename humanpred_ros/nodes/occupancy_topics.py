@@ -51,11 +51,6 @@ def unknown_message(reason: str, t_ns: int, frame_id: str = "world") -> Compress
     return _compact(f"{compact_occupancy.UNKNOWN}{reason}", b"", t_ns, frame_id)
 
 
-def nobody_message(grid: VoxelGrid, t_ns: int, frame_id: str = "world") -> CompressedImage:
-    """Return the compact form of `conversions.nobody_cloud`."""
-    return _compact(f"{compact_occupancy.NOBODY}{compact_occupancy.lattice_text(grid)}", b"", t_ns, frame_id)
-
-
 def occupancy_of(
     message: PointCloud2 | CompressedImage, grid: VoxelGrid, t_s: float, frame_id: str = "world"
 ) -> Occupancy:

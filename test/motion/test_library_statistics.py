@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from library_statistics import LibraryStatistics, comparison_markdown
 from paths import REPOSITORY, shared_data
 
 from humanpred_ros.errors import LibraryFormatError
@@ -11,7 +12,6 @@ from humanpred_ros.human.kinect import KINECT12_DOFS
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.cleaning import clean_library
 from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.motion.library_statistics import LibraryStatistics, comparison_markdown
 from humanpred_ros.motion.motion import Motion, MotionLibrary, resample_phase
 
 REST = np.array([1.0, 2.0, 0.9, 0.7, 0.0, 0.0, 0.0, 1.4, 0.1, 0.0, 0.1, 0.4])

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from library_statistics import LibraryStatistics
 
 from humanpred_ros import __version__
 from humanpred_ros.errors import ArrayError, GoalUnreachableError, MotionError, SettingsError
@@ -13,7 +14,6 @@ from humanpred_ros.human.kinect import KINECT12_DOFS, KinectSkeleton
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import read_library_bag, write_library_bag
 from humanpred_ros.motion.cleaning import DROP_REASONS, flag_library, goal_m
-from humanpred_ros.motion.library_statistics import LibraryStatistics
 from humanpred_ros.motion.motion import SKELETON_POINTS, MotionLibrary
 from humanpred_ros.motion.synthetic import DepthCameraConfig, ReachGeneratorConfig, generate_library, table_grid
 

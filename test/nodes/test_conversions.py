@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sent_trajectories import trajectory_from_message
 
 from humanpred_ros.errors import ArrayError, PlanningError
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
@@ -85,7 +86,7 @@ def trajectory() -> TimedTrajectory:
 def test_a_trajectory_survives_the_wire() -> None:
     message = conversions.trajectory_message(("a", "b"), trajectory(), 7_000_000_000)
     assert conversions.stamp_ns(message.header.stamp) == 7_250_000_000
-    back = conversions.trajectory_from_message(message, ("a", "b"), 7_000_000_000)
+    back = trajectory_from_message(message, ("a", "b"), 7_000_000_000)
     np.testing.assert_allclose(back.t_s, trajectory().t_s, atol=1e-9)
     assert np.array_equal(back.q, trajectory().q)
     assert np.array_equal(back.v, trajectory().v)
@@ -93,7 +94,7 @@ def test_a_trajectory_survives_the_wire() -> None:
 
 def test_joints_may_come_in_any_order() -> None:
     message = conversions.trajectory_message(("a", "b"), trajectory(), 0)
-    back = conversions.trajectory_from_message(message, ("b", "a"), 0)
+    back = trajectory_from_message(message, ("b", "a"), 0)
     assert np.array_equal(back.q, trajectory().q[:, ::-1])
     assert np.array_equal(back.v, trajectory().v[:, ::-1])
 
@@ -114,7 +115,7 @@ def test_times_stay_strictly_increasing_on_the_wire(seed: int, apart_s: float) -
         for p, when in zip(message.points, t, strict=True)
     ]
     assert np.abs(off).max() <= (len(t) + 1) * 1e-9
-    assert np.array_equal(conversions.trajectory_from_message(message, ("a", "b"), origin_ns).q, q)
+    assert np.array_equal(trajectory_from_message(message, ("a", "b"), origin_ns).q, q)
 
 
 def test_the_switch_is_where_the_robot_is_then() -> None:
@@ -126,9 +127,7 @@ def test_the_switch_is_where_the_robot_is_then() -> None:
     new = time_parameterise(np.linspace(state[0], [0.4, 0.9], 30), v, a, *state[1:], start_s=t_switch)
     origin_ns = 1_700_000_000_123_456_789
     executed, taken = (
-        conversions.trajectory_from_message(
-            conversions.trajectory_message(("a", "b"), each, origin_ns), ("a", "b"), origin_ns
-        )
+        trajectory_from_message(conversions.trajectory_message(("a", "b"), each, origin_ns), ("a", "b"), origin_ns)
         for each in (now, new)
     )
     before, after = executed.sample(taken.start_s), taken.sample(taken.start_s)
@@ -142,10 +141,10 @@ def test_what_a_controller_refuses_is_refused() -> None:
         return conversions.trajectory_message(("a", "b"), trajectory(), 0)
 
     def take(message: object, now_ns: int | None = None) -> TimedTrajectory:
-        return conversions.trajectory_from_message(message, ("a", "b"), 0, now_ns)
+        return trajectory_from_message(message, ("a", "b"), 0, now_ns)
 
     with pytest.raises(PlanningError, match="joints"):
-        conversions.trajectory_from_message(spoiled(), ("b", "c"), 0)
+        trajectory_from_message(spoiled(), ("b", "c"), 0)
     message = spoiled()
     message.points[1].time_from_start = message.points[0].time_from_start
     with pytest.raises(PlanningError, match="increasing"):

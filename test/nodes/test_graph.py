@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from paths import REPOSITORY
 from rich.console import Console
 from rosbags.rosbag2 import Reader
+from sent_trajectories import trajectory_from_message
 from waiting import processes_with_environment, wait_until
 
 from humanpred_ros.bags.messages import point_cloud2_fields
@@ -125,7 +126,7 @@ def test_trajectories_keep_limits_times_and_continuity(bag: BagReader) -> None:
     origin_ns = next(iter(by_stamp(bag, POSTURES)))
     executing = None
     for message in messages:
-        trajectory = conversions.trajectory_from_message(message, chain.joint_names, origin_ns)
+        trajectory = trajectory_from_message(message, chain.joint_names, origin_ns)
         t = np.linspace(trajectory.start_s, trajectory.end_s, 500)
         q, v, _ = trajectory.sample(t)
         assert (np.abs(v) <= chain.velocity_limit * 1.001).all()

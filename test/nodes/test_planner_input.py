@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from paths import REPOSITORY
+from sent_trajectories import trajectory_from_message
 from waiting import wait_until
 
 from humanpred_ros.evaluation.processes import NodeGroup, free_domain_id
@@ -124,9 +125,7 @@ def test_data_that_come_late_neither_restart_nor_jerk_a_moving_arm(tmp_path: Pat
         )
         client.wait(lambda: len(client.trajectories) >= 2, "the stop")
         stop = client.trajectories[-1]
-        before = [
-            conversions.trajectory_from_message(m, client.joint_names, first_ns) for m in client.trajectories[:-1]
-        ]
+        before = [trajectory_from_message(m, client.joint_names, first_ns) for m in client.trajectories[:-1]]
         begins_s = (stamp(stop) - first_ns) * 1e-9
         executing = next(t for t in reversed(before) if t.start_s <= begins_s)
         q, v, _ = executing.sample(begins_s)

@@ -6,6 +6,7 @@ so that libraries recorded in different frames compare. The palm is the model's,
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ from humanpred_ros.errors import LibraryFormatError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.cleaning import clean_library
+from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import MotionLibrary, resample_phase, unwrap_angles
 
 #: Postures a motion is resampled to: one per percent of its duration, as P1's libraries are.
@@ -215,3 +217,7 @@ def _found_by_nearest_mean(postures: FloatArray, labels: NDArray[np.int64], inde
         nearest = np.linalg.norm(scaled[test][:, None] - means, axis=-1).argmin(axis=1)
         right += int((np.array(known)[nearest] == labels[test]).sum())
     return right / len(postures)
+
+
+if __name__ == "__main__":
+    print(comparison_markdown(*map(load_library, sys.argv[1:3])))
