@@ -33,10 +33,8 @@ from humanpred_ros.robot.scene import Scene, load_scene
 from humanpred_ros.settings import setting
 from humanpred_ros.viewing import recorded
 from humanpred_ros.viewing.space import (
-    CANDIDATES,
-    FUTURES,
+    DRAWN,
     LOOKED_AT,
-    ROLLOUTS,
     ServerSettings,
     SpaceMoment,
     SpaceView,
@@ -50,8 +48,6 @@ _FORGOTTEN_S = 2.0
 _LOOK_PERIOD_S = 0.5
 _ASKED_S = 5.0
 _PATH_POINTS = 30
-#: Layers that nodes draw only while somebody listens.
-_DRAWN = {CANDIDATES: topics.CANDIDATES, FUTURES: topics.FUTURES, ROLLOUTS: topics.ROLLOUTS}
 _GUARD = topics.GUARD_STOP.partition("/")[0]
 
 
@@ -76,7 +72,7 @@ class Graph:
         #: What could not be read, by topic.
         self.troubles: dict[str, str] = {}
 
-    def look(self, looked_at: bool, layers: Collection[str] = tuple(_DRAWN)) -> None:
+    def look(self, looked_at: bool, layers: Collection[str] = tuple(DRAWN)) -> None:
         """Subscribe to what there is, of lines those of some layers, or to nothing while nobody looks."""
         wanted: dict[str, tuple[type[Any], Callable[[Any], Any], QoSProfile]] = {}
         if looked_at:
@@ -88,7 +84,7 @@ class Graph:
                 topics.SPEED_FACTOR: (Int16, lambda message: int(message.data), qos.NEWEST_ONLY),
                 topics.GUARD_STOP: (String, lambda message: str(message.data), qos.COMMAND),
                 topics.DIAGNOSTICS: (DiagnosticArray, self._separation, qos.SENSOR_SUBSCRIBER),
-                **{_DRAWN[layer]: (MarkerArray, recorded.lines_of, qos.NEWEST_ONLY) for layer in layers},
+                **{DRAWN[layer]: (MarkerArray, recorded.lines_of, qos.NEWEST_ONLY) for layer in layers},
                 **{topic: (JointState, self._posture, qos.NEWEST_ONLY) for topic in self._bodies()},
             }
             # Clouds are large, and published only while somebody listens to them.
@@ -120,7 +116,7 @@ class Graph:
             q_goal=q_goal,
             tool_path_m=path,
             bodies={topic.split("/")[-2]: fresh[topic] for topic in self._bodies() if topic in fresh},
-            lines={layer: fresh[topic] for layer, topic in _DRAWN.items() if topic in fresh},
+            lines={layer: fresh[topic] for layer, topic in DRAWN.items() if topic in fresh},
             centres_m=centres_m,
             probability=probability,
             posterior=fresh.get(topics.HUMAN_GOALS, {}),
@@ -286,7 +282,7 @@ def show_graph(
         looked_at = bool(view.server.get_clients())
         if now_s - looked_s >= _LOOK_PERIOD_S:
             looked_s = now_s
-            graph.look(looked_at, [layer for layer in _DRAWN if view.shows(layer)])
+            graph.look(looked_at, [layer for layer in DRAWN if view.shows(layer)])
         if looked_at and now_s - drawn_s >= _FRAME_S:
             if drawn_s < 0.0:
                 tell(LOOKED_AT)

@@ -89,6 +89,7 @@ class RunRecorder(GraphNode):
             self.recorded += [
                 (topics.human_markers(body), MarkerArray, qos.LOSSLESS),
                 (topics.OCCUPANCY_MARKERS, MarkerArray, qos.LOSSLESS),
+                (topics.FUTURES, MarkerArray, qos.LOSSLESS),
                 (topics.CANDIDATES, MarkerArray, qos.LOSSLESS),
                 (topics.ROLLOUTS, MarkerArray, qos.LOSSLESS),
             ]

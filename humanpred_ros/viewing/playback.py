@@ -4,25 +4,28 @@ from __future__ import annotations
 
 import threading
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from rich.console import Console
 
+from humanpred_ros.bags.messages import ns_from_stamp
+from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.resources import replacing
 from humanpred_ros.settings import setting
-from humanpred_ros.viewing.recorded import JointTrack, OccupancySnapshot, RecordedDecision
+from humanpred_ros.viewing.recorded import JointTrack, OccupancySnapshot, RecordedDecision, lines_of
 from humanpred_ros.viewing.run import Run, read_run
-from humanpred_ros.viewing.space import ServerSettings, SpaceMoment, SpaceView, as_text, said, served, set_value
+from humanpred_ros.viewing.space import DRAWN, ServerSettings, SpaceMoment, SpaceView, as_text, said, served, set_value
+from humanpred_ros.viewing.strip import LASTS_S, SAMPLE_S
 from humanpred_ros.viewing.workcell import Workcell, load_workcell
 
-T = TypeVar("T", OccupancySnapshot, RecordedDecision)
+T = TypeVar("T", OccupancySnapshot, RecordedDecision, "RecordedLines")
 _FRAME_S = 1.0 / 20.0
 _PATH_STEP_S = 0.1
 #: Moments of a page that plays by itself are so far apart, or farther where the run is long.
@@ -38,11 +41,19 @@ class ViewSettings(ServerSettings):
     namespace: str | None = setting(None, "of the robot, as /robot1; only needed where the bag holds several")
 
 
+class RecordedLines(NamedTuple):
+    """Lines for people to see: as in `SpaceMoment.lines`."""
+
+    t_s: float
+    ends_m: FloatArray
+    colours: FloatArray
+
+
 class Recording:
     """A run as moments."""
 
-    def __init__(self, run: Run, workcell: Workcell) -> None:
-        """Take a run and where it was recorded.
+    def __init__(self, run: Run, workcell: Workcell, namespace: str | None = None) -> None:
+        """Take a run, where it was recorded, and in which namespace.
 
         Raises:
             UsageError: nobody knows the scene, or nothing was recorded.
@@ -51,7 +62,7 @@ class Recording:
             raise UsageError(f"{run.folder}: wanted a run whose scene is known; {'; '.join(workcell.notes)}")
         if run.duration_s <= 0.0:
             raise UsageError(f"{run.folder}: wanted a run with people, decisions or an arm in it; it has none")
-        self.run, self.workcell, self.scene = run, workcell, workcell.scene
+        self.run, self.workcell, self.scene, self.namespace = run, workcell, workcell.scene, namespace
         self.human = workcell.human or HumanModel.kinect12()
 
     @cached_property
@@ -59,6 +70,18 @@ class Recording:
         """Those that were kept, by time."""
         both = {snapshot.t_s: snapshot for snapshot in (*self.run.occupancy.samples, *self.run.occupancy.snapshots)}
         return [both[t_s] for t_s in sorted(both)]
+
+    @cached_property
+    def lines(self) -> Mapping[str, Sequence[RecordedLines]]:
+        """Of each layer of lines what was recorded, by time; none unless markers were."""
+        bag = BagReader(self.run.folder / "bag", self.namespace)
+        return {layer: list(self._lines(bag, topic)) for layer, topic in DRAWN.items() if bag.find(topic)}
+
+    def _lines(self, bag: BagReader, topic: str) -> Iterator[RecordedLines]:
+        for _, message in bag.decoded(topic):
+            stamps = [ns_from_stamp(marker.header.stamp) for marker in message.markers]
+            if any(stamps):  # the first of an array that removes others has none
+                yield RecordedLines(1e-9 * (max(stamps) - self.run.origin_ns), *lines_of(message))
 
     @cached_property
     def turns(self) -> list[tuple[float, str]]:
@@ -91,6 +114,11 @@ class Recording:
             q_goal=q_goal,
             tool_path_m=path,
             bodies={"": q} if (q := _row(run.postures, t_s)) is not None else {},
+            lines={
+                layer: (drawn.ends_m, drawn.colours)
+                for layer, all_ in self.lines.items()
+                if (drawn := _latest(all_, t_s))
+            },
             posterior=self._posterior(t_s),
             decision=decision,
             centres_m=np.zeros((0, 3)) if occupancy is None else occupancy.centres_m,
@@ -110,7 +138,7 @@ def view(settings: ViewSettings, console: Console) -> int:
     """Play a recorded run in 3D in a browser, until Ctrl-C, or write it as one HTML file."""
     with console.status("reading the run"):
         run = read_run(settings.run, settings.namespace)
-        recording = Recording(run, load_workcell(run))
+        recording = Recording(run, load_workcell(run), settings.namespace)
     if settings.out is not None:
         with replacing(settings.out) as part:
             part.write_text(replay_page(recording), encoding="utf-8")
@@ -150,6 +178,8 @@ class Player:
             self.pace = gui.add_dropdown("times as fast", _SPEEDS, initial_value="1")
             self.happened = gui.add_markdown("")
             turns = gui.add_button_group("switch or hold", ("back", "next"))
+            step = gui.add_button_group("one frame", ("back", "next"))
+        step.on_click(lambda _: self._go(self.slider.value + _FRAME_S * (1 if step.value == "next" else -1)))
         turns.on_click(lambda _: self._jump(str(turns.value)))
 
     def run(self, ended: threading.Event) -> None:
@@ -160,16 +190,23 @@ class Player:
                 next_s = self.slider.value + _FRAME_S * float(self.pace.value)
                 set_value(self.slider, 0.0 if self.slider.value >= self.slider.max else min(next_s, self.slider.max))
             if self.slider.value != shown_s:
-                shown_s = float(self.slider.value)
+                now_s = float(self.slider.value)
+                if not 0.0 <= now_s - shown_s < SAMPLE_S:  # a jump: the charts show what was before
+                    for t_s in np.arange(max(0.0, now_s - LASTS_S), now_s, SAMPLE_S):
+                        self._view.recall(self._recording.at(float(t_s)))
+                shown_s = now_s
                 self._view.show(self._recording.at(shown_s))
+
+    def _go(self, t_s: float) -> None:
+        set_value(self.playing, False)
+        set_value(self.slider, round(min(max(t_s, 0.0), self.slider.max), 2))
 
     def _jump(self, way: str) -> None:
         now_s = float(self.slider.value)
         later = [turn for turn in self._recording.turns if turn[0] > now_s + 1e-3]
         earlier = [turn for turn in self._recording.turns if turn[0] < now_s - 1e-3]
         turn = (later[:1] if way == "next" else earlier[-1:]) or [(now_s, "nothing more happens there")]
-        set_value(self.playing, False)
-        set_value(self.slider, round(turn[0][0], 2))
+        self._go(turn[0][0])
         self.happened.content = as_text(turn[0][1])
 
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.colors import to_rgb
 
+from humanpred_ros import topics
 from humanpred_ros.errors import UsageError, printable
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     import viser
 
 _PORTS_TRIED = 20
-_GHOST_OPACITY = 0.25
+_GHOST_OPACITY, _LIGHT = 0.25, 2.0
 #: Where one looks from, m from the middle of the tasks: away from the person, to their left, and up.
 _VIEWS: Mapping[str, tuple[float, float, float]] = {
     "side": (0.3, 2.4, 0.9),
@@ -51,6 +52,8 @@ _SHRUNK = 0.4
 _FIRST_THRESHOLD = 0.2
 #: What can be shown, and whether it is at first: the last three cost the nodes that draw them time.
 CANDIDATES, FUTURES, ROLLOUTS = "candidate paths", "sampled futures", "noisy paths"
+#: The topics of these.
+DRAWN = {CANDIDATES: topics.CANDIDATES, FUTURES: topics.FUTURES, ROLLOUTS: topics.ROLLOUTS}
 _LAYERS = {
     **dict.fromkeys(("robot", "going to", "people", "occupancy", "scene", "tasks", CANDIDATES, FUTURES), True),
     ROLLOUTS: False,
@@ -151,13 +154,13 @@ class SpaceView:
         # Shadows and reflections cost three quarters of a frame where there is no graphics card.
         server.scene.configure_default_lights(cast_shadow=False)
         server.scene.configure_environment_map(None)
+        server.scene.add_light_ambient("/light", intensity=_LIGHT)
         self._draw_scene()
         gui = server.gui
         self._state = gui.add_markdown("", order=-2.0)
         with gui.add_folder("the person reaches for"):
             self._bars = [(gui.add_markdown(""), gui.add_progress_bar(0.0)) for _ in range(_BARS)]
-        with gui.add_folder("the last 30 s"):
-            self._strip = Strip(gui, lambda name: self._colours.get(name, ""))
+        self._strip = Strip(gui, gui.add_folder("the last 30 s"), lambda name: self._colours.get(name, ""))
         with gui.add_folder("show"):
             self._shown = {name: gui.add_checkbox(name, on) for name, on in _LAYERS.items()}
             self._body = gui.add_dropdown("people", (_EVERYBODY,))

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from humanpred_ros.errors import printable
+from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.viewing.figures import MUTED, SERIES
 
 LASTS_S = 30.0
@@ -31,9 +32,9 @@ class Sample(NamedTuple):
 class Strip:
     """Three charts that share a time axis, which ends now."""
 
-    def __init__(self, gui: Any, colour_of: Callable[[str], str]) -> None:
-        """Add the charts to a page; `colour_of` says how what is called so is drawn, empty: anyhow."""
-        self._gui, self._colour_of = gui, colour_of
+    def __init__(self, gui: Any, folder: Any, colour_of: Callable[[str], str]) -> None:
+        """Add the charts to a folder of a page; `colour_of` says how what is called so is drawn, empty: anyhow."""
+        self._gui, self._folder, self._colour_of = gui, folder, colour_of
         self._samples: deque[Sample] = deque()
         self._charts: dict[str, tuple[tuple[str, ...], Any]] = {}
         self._drawn_s = -np.inf
@@ -61,13 +62,14 @@ class Strip:
             ("least distance in cm", [{"distance": 100.0 * sample.distance_m} for sample in self._samples]),
         ):
             names = sorted({name for values in lines for name in values})
-            self._chart(title, {name: [values.get(name) for values in lines] for name in names})
+            if names:
+                self._chart(title, {name: [values.get(name) for values in lines] for name in names})
 
     def _chart(self, title: str, lines: Mapping[str, list[float | None]]) -> None:
         t_s = np.array([sample.t_s for sample in self._samples])
-        values = [np.array([np.nan if v is None else v for v in line], dtype=np.float64) for line in lines.values()]
-        top = max([float(np.nanmax(v)) for v in values if np.isfinite(v).any()], default=1.0)
-        held = np.where([sample.held for sample in self._samples], top, np.nan)
+        values = [_last_known([np.nan if v is None else v for v in line]) for line in lines.values()]
+        top = max([float(v.max()) for v in values], default=1.0)
+        held = np.where([sample.held for sample in self._samples], top, 0.0)
         data, names = (t_s - t_s[-1], held, *values), tuple(lines)
         before, chart = self._charts.get(title, ((), None))
         if chart is not None and before == names:
@@ -89,7 +91,17 @@ class Strip:
                 for k, name in enumerate(names)
             ),
         ]
-        chart = self._gui.add_uplot(
-            data, tuple(series), title=title, height=_HEIGHT_PX, scales={"x": {"time": False, "range": (-LASTS_S, 0.0)}}
-        )
+        scales = {"x": {"time": False, "range": (-LASTS_S, 0.0)}}
+        with self._folder:
+            chart = self._gui.add_uplot(data, tuple(series), title=title, height=_HEIGHT_PX, scales=scales)
         self._charts[title] = names, chart
+
+
+def _last_known(values: list[float]) -> FloatArray:
+    """Return values (N,) with the last known one for each that is not; the first known before it, 0 if none is."""
+    line = np.array(values, dtype=np.float64)
+    known = np.flatnonzero(np.isfinite(line))
+    if not len(known):
+        return np.zeros(len(line))
+    filled: FloatArray = line[known[np.maximum(np.searchsorted(known, np.arange(len(line)), side="right") - 1, 0)]]
+    return filled
