@@ -160,7 +160,9 @@ def _draw_calibration(axes: Axes, results: Sequence[dict[str, Any]]) -> None:
         if len(some) > 1:
             axes.plot(x, y, color=style["color"], linestyle=style["linestyle"])
         area = _AREA[0] + (_AREA[1] - _AREA[0]) * count / max(most, 1.0)
-        label = f"{result['name']} (error {table['error_predicted']:.2f})"
+        # One that predicts certainties alone has no error where it predicts something.
+        error = f"{table['error_predicted']:.2f}"
+        label = result["name"] if error == "0.00" else f"{result['name']} (error {error})"
         axes.scatter(x, y, s=area, color=style["color"], marker=style["marker"], label=label, zorder=3)
     axes.set(title="calibration of the voxels", xlim=(-0.02, 1.04), ylim=(-0.02, 1.04))
     axes.set(xlabel="predicted probability (1 % and more)", ylabel="share truly swept")

@@ -42,6 +42,9 @@ _NAMED = {
 }
 #: Okabe and Ito's palette without its yellow, which is invisible on white; order by contrast between neighbours.
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#5c4b8a", "#4d4d4d")
+#: Classes of motions: other colours than those of goals, which stand beside them (Tol's muted ones, dark and light in
+#: turn).
+CLASSES = ("#332288", "#999933", "#117733", "#44aa99", "#882255", "#cc6677", "#aa4499", "#6699cc")
 #: Second cue beside colour, for print in grey and for more series than colours.
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
@@ -117,6 +120,8 @@ def plain_powers(axis: Axis) -> None:
 
 class _Powers(LogFormatterSciNotation):
     def __call__(self, x: float, pos: int | None = None) -> str:
+        if x == 0.0:
+            return "0"
         text = str(super().__call__(x, pos)).replace("\\times", "×").replace("$\\mathdefault{", "").removesuffix("}$")
         return re.sub(r"\^\{(.*?)\}", lambda power: power[1].translate(_RAISED), text)
 
@@ -145,6 +150,21 @@ def svg_of(figure: Figure, key: str) -> str:
     return text.strip()
 
 
+#: Labels of axes along which time, or the number of the replanning step, runs.
+TIME, STEP = "time", "step"
+
+
+def time_axes(figure: Figure) -> list[dict[str, Any]]:
+    """Return where time runs in a figure that was drawn: shares of width and height, from above, and the limits."""
+    found = []
+    for axes in figure.axes:
+        if axes.get_label() in (TIME, STEP):
+            box, (low, high) = axes.get_position(), axes.get_xlim()
+            place = [round(float(v), 4) for v in (box.x0, 1.0 - box.y1, box.width, box.height)]
+            found.append({"kind": axes.get_label(), "box": place, "from": float(low), "to": float(high)})
+    return found
+
+
 def goal_colours(names: Iterable[str]) -> dict[str, str]:
     """Return one colour per goal: the hue it is named after, else the next of the series that is still free."""
     names = tuple(names)
@@ -159,12 +179,13 @@ def goal_colours(names: Iterable[str]) -> dict[str, str]:
 
 def class_style(index: int) -> dict[str, Any]:
     """Return colour and dashes of the class at `index` of the sorted labels."""
-    return {"color": SERIES[index % len(SERIES)], "linestyle": DASHES[(index // 4) % len(DASHES)]}
+    return {"color": CLASSES[index % len(CLASSES)], "linestyle": DASHES[index % len(DASHES)]}
 
 
 def empty_figure(text: str) -> Figure:
-    """Return a low figure that says why there is nothing to draw."""
+    """Return a low figure that says why there is nothing to draw; a page shows its label instead."""
     figure = new_figure(0.6)
+    figure.set_label(text)
     note(figure.add_subplot(), text)
     return figure
 

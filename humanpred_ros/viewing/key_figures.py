@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from humanpred_ros.errors import printable
-from humanpred_ros.viewing.analysis import Belief, RunSummary, StepRow
+from humanpred_ros.viewing.analysis import Belief, RunSummary, StepRow, Switch
 from humanpred_ros.viewing.recorded import LatencyFigures
 from humanpred_ros.viewing.reliability import MOVING
 
@@ -40,6 +41,37 @@ def key_figures(summary: RunSummary) -> list[KeyFigure]:
     return [KeyFigure(name, *said) for name, said in figures if said is not None]
 
 
+def story(summary: RunSummary) -> str:
+    """Return in a sentence or two what happened: what the person reached for, what the arm did, and how it ended."""
+    parts = []
+    known = summary.recognised
+    if known is not None and known.t_s is not None:
+        parts.append(f"The person reached for class {known.true_class}, most probable from {known.t_s:.2f} s on")
+    elif summary.beliefs:
+        last = summary.beliefs[-1]
+        what = "nothing that was learned" if last.rather_unknown else f"class {last.best_class}"
+        parts.append(f"The person reached, it seems, for {what}")
+    if summary.switches:
+        turns = [_turn(switch) for switch in summary.switches[:_MOST_LISTED]]
+        more = f" and {len(summary.switches) - _MOST_LISTED} times more" if len(summary.switches) > _MOST_LISTED else ""
+        parts.append(
+            f"the arm, on its way to {summary.switches[0].goal_before}, turned to {', then to '.join(turns)}{more}"
+        )
+    elif chosen := next((row.chosen for row in summary.steps if row.chosen), ""):
+        parts.append(f"the arm worked on {chosen} throughout")
+    held = [f"{len(found)} times" if len(found) > 1 else "once" for found in (summary.holds,) if found]
+    if held:
+        reason = re.split(r"[:;(]", summary.holds[0].reason, maxsplit=1)[0].strip()
+        parts.append(f"it stopped {held[0]} ({reason}{' first' if len(summary.holds) > 1 else ''})")
+    told = f"{'; '.join(parts)}. " if parts else ""
+    return f"{told[:1].upper()}{told[1:]}{summary.outcome}"
+
+
+def _turn(switch: Switch) -> str:
+    share = "" if switch.percent is None else f", {switch.percent:.0f} % of the reach"
+    return f"{switch.goal_after} after {switch.t_s:.2f} s{share}"
+
+
 def print_summary(summary: RunSummary, console: Console) -> None:
     """Print the replanning steps and the key figures of a run."""
     if summary.steps:
@@ -60,7 +92,7 @@ def print_summary(summary: RunSummary, console: Console) -> None:
     console.print(table)
     for note in summary.notes:
         console.print(Text.assemble(("note", "yellow"), "  ", printable(note)))
-    console.print(Text(printable(summary.outcome), "bold"))
+    console.print(Text(printable(story(summary)), "bold"))
 
 
 def _steps_table(summary: RunSummary) -> Table:

@@ -21,15 +21,13 @@ from humanpred_ros.resources import replacing
 from humanpred_ros.settings import setting
 from humanpred_ros.viewing.recorded import JointTrack, OccupancySnapshot, RecordedDecision, lines_of
 from humanpred_ros.viewing.run import Run, read_run
-from humanpred_ros.viewing.space import DRAWN, ServerSettings, SpaceMoment, SpaceView, as_text, said, served, set_value
+from humanpred_ros.viewing.space import DRAWN, ServerSettings, SpaceMoment, SpaceView, as_text, served, set_value
 from humanpred_ros.viewing.strip import LASTS_S, SAMPLE_S
 from humanpred_ros.viewing.workcell import Workcell, load_workcell
 
 T = TypeVar("T", OccupancySnapshot, RecordedDecision, "RecordedLines")
 _FRAME_S = 1.0 / 20.0
 _PATH_STEP_S = 0.1
-#: Moments of a page that plays by itself are so far apart, or farther where the run is long.
-_WRITTEN_FRAME_S, _MOST_FRAMES = 1.0 / 15.0, 600
 _SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
 
@@ -140,6 +138,8 @@ def view(settings: ViewSettings, console: Console) -> int:
         run = read_run(settings.run, settings.namespace)
         recording = Recording(run, load_workcell(run), settings.namespace)
     if settings.out is not None:
+        from humanpred_ros.viewing.replay import replay_page
+
         with replacing(settings.out) as part:
             part.write_text(replay_page(recording), encoding="utf-8")
         console.print(f"replay  {settings.out}")
@@ -147,22 +147,6 @@ def view(settings: ViewSettings, console: Console) -> int:
     with served(settings, lambda text: console.print(text, highlight=False)) as server:
         Player(SpaceView(server, recording.scene, recording.human), recording).run(threading.Event())
     return 0
-
-
-def replay_page(recording: Recording) -> str:
-    """Return a page that plays a run in any browser with WebGL, by itself; raises as `served`."""
-    end_s = recording.run.duration_s
-    step_s = max(_WRITTEN_FRAME_S, end_s / _MOST_FRAMES)
-    with served(ServerSettings(), lambda text: None) as server:
-        view = SpaceView(server, recording.scene, recording.human)
-        recorder = server.get_scene_serializer()
-        above_m = recording.scene.arm.reach[0] + [0.0, 0.0, recording.scene.arm.reach[1]]
-        for t_s in np.arange(0.0, end_s + step_s, step_s):
-            moment = recording.at(float(t_s))
-            view.show(moment)
-            server.scene.add_label("/said", said(moment), position=tuple(above_m))
-            recorder.insert_sleep(step_s)
-        return str(recorder.as_html())
 
 
 class Player:

@@ -20,6 +20,7 @@ from humanpred_ros.viewing.plots_time import mark_events
 _NEVER_LIKELY = 0.05
 #: Below the smallest positive cost by this factor a logarithmic axis turns linear, to show zeros.
 _LINEAR_BELOW = 2.0
+_MOST_TICKS = 6
 #: Steps in which the arm is not sent to a goal: colour, how strong, and what the legend says.
 _SHADED = {
     "missed": (look.ALARM, 0.10, "step missed"),
@@ -100,9 +101,8 @@ def goal_costs_plot(analysis: Analysis) -> Figure:
                     transform=axes.transData if priced else axes.get_xaxis_transform(),
                 )  # fmt: skip
     for switch in summary.switches:
-        colour = colours.get(switch.goal_after, look.INK)
-        axes.axvline(switch.step, color=colour, linewidth=1.0, alpha=0.6, zorder=0)
-        look.label_above(axes, switch.step, f"switch to {switch.goal_after}", colour, align="center")
+        axes.axvline(switch.step, color=look.INK, linewidth=1.0, alpha=0.6, zorder=0)
+        look.label_above(axes, switch.step, f"switch to {switch.goal_after}", look.INK, align="center")
     for row in summary.steps:
         if row.lost_to:
             colour, strength, _ = _SHADED[row.lost_to]
@@ -143,8 +143,8 @@ def cost_terms_plot(analysis: Analysis) -> Figure:
     for k, (name, cost) in enumerate(terms.items()):
         axes.plot(
             number, cost, marker=look.MARKERS[k % len(look.MARKERS)], markersize=4.5,
-            color=look.SERIES[k % len(look.SERIES)],
-            linestyle=look.DASHES[(k // len(look.SERIES)) % len(look.DASHES)], label=name.replace("_", " "),
+            color=(look.INK, look.MUTED)[k % 2], linestyle=look.DASHES[k % len(look.DASHES)],
+            label=name.replace("_", " "),
         )  # fmt: skip
     if zero:
         axes.plot([], [], color="none", label="always zero:\n" + "\n".join(zero))
@@ -175,8 +175,13 @@ def _log_scale(axes: Axes, values: FloatArray) -> None:
         axes.set_yscale("log")
         look.plain_powers(axes.yaxis)
     else:
-        axes.set_yscale("symlog", linthresh=float(positive.min()) / _LINEAR_BELOW, linscale=0.4)
+        least = float(positive.min())
+        axes.set_yscale("symlog", linthresh=least / _LINEAR_BELOW, linscale=0.4)
         look.plain_powers(axes.yaxis)
+        # Within the linear part there is room for the zero alone.
+        powers = np.arange(np.ceil(np.log10(least)), np.floor(np.log10(float(positive.max()))) + 1.0)
+        axes.set_yticks([0.0, *10.0 ** powers[:: max(1, len(powers) // _MOST_TICKS)]])
+        axes.set_yticks([], minor=True)
         axes.axhline(0.0, color=look.MUTED, linewidth=0.8)
 
 
@@ -185,6 +190,7 @@ def _step_axis(axes: Axes, summary: RunSummary) -> None:
     first, last = summary.steps[0].step, summary.steps[-1].step
     axes.set_xlim(first - 0.6, last + 0.6)
     axes.set_xlabel("replanning step")
+    axes.set_label(look.STEP)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=24, min_n_ticks=1))
     moving = [row for row in summary.steps if row.percent is not None and row.percent < 100.0]
     if moving and len(moving) < len(summary.steps):

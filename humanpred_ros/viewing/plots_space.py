@@ -48,10 +48,11 @@ def top_view_plot(analysis: Analysis) -> Figure:
         _draw_scene(axes, analysis)
     paths.set_title("paths")
     for label, place in zip(run.posterior.labels, run.posterior.goals_m, strict=True):
-        paths.plot(
-            place[0], place[1], marker="s", color="white", markeredgecolor=MUTED, markersize=11, alpha=0.85, zorder=3.4
+        paths.plot(place[0], place[1], marker="s", color="white", markeredgecolor=INK, markersize=4.5, zorder=3.0)
+        # Beside the place: a task's cross may stand on it.
+        paths.annotate(
+            str(label), (place[0], place[1]), xytext=(6, 5), textcoords="offset points", fontsize=8, color=INK
         )
-        paths.text(place[0], place[1], str(label), ha="center", va="center", fontsize=7.5, color=INK, zorder=3.5)
     for name, path, colour in (("human palm", palm, HUMAN), ("robot tool", tool, ROBOT)):
         if len(path):
             paths.plot(path[:, 0], path[:, 1], color=colour, linewidth=2.2, label=name)
@@ -61,7 +62,7 @@ def top_view_plot(analysis: Analysis) -> Figure:
         of_several = f" (preferred of {len(configurations)})" if len(configurations) > 1 else ""
         place = workcell.tool_path(configurations[:1])[0]
         paths.plot(
-            place[0], place[1], marker="X", markersize=10, color=analysis.colours.get(name, INK),
+            place[0], place[1], marker="X", markersize=8, color=analysis.colours.get(name, INK), zorder=4.0,
             markeredgecolor="white", linestyle="none", label=f"goal {name}{of_several}",
         )  # fmt: skip
     paths.plot([], [], marker="o", color=MUTED, linestyle="none", label="start")

@@ -14,6 +14,8 @@ from humanpred_ros.viewing.analysis import Analysis
 from humanpred_ros.viewing.recorded import LatencyFigures
 
 _MAX_BINS = 40
+#: Delays of more than so many medians are told instead of drawn, if no larger share of all are.
+_FAR, _MOST_FAR = 4.0, 0.06
 _JOINT_ROW_IN = 0.98
 #: Least span of a joint's axes: a joint at rest looks at rest.
 _LEAST_SPAN = 0.2
@@ -37,10 +39,13 @@ def clearance_plot(analysis: Analysis) -> Figure:
     axes.plot(clearance.t_s, distance_cm, color=look.INK)
     axes.plot([closest.t_s], [100.0 * closest.distance_m], marker="o", color=look.INK, markersize=6)
     on_left = closest.t_s < 0.6 * analysis.run.duration_s
+    span_cm = max(float(np.ptp(distance_cm)), 1.0)
+    low_enough = closest.distance_m * 100.0 - min(0.0, float(distance_cm.min()) * 1.1) > 0.3 * span_cm
     axes.annotate(
         f"{100.0 * closest.distance_m:.1f} cm at {closest.t_s:.2f} s\n{closest.robot_link} – {closest.human_body}",
-        (closest.t_s, 100.0 * closest.distance_m), xytext=(14 if on_left else -14, 12), textcoords="offset points",
-        ha="left" if on_left else "right", va="bottom", fontsize=8.5,
+        (closest.t_s, 100.0 * closest.distance_m), xytext=(14 if on_left else -14, -10 if low_enough else 26),
+        textcoords="offset points",
+        ha="left" if on_left else "right", va="top" if low_enough else "bottom", fontsize=8.5,
         arrowprops={"arrowstyle": "-", "color": look.MUTED, "linewidth": 0.8},
         bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5},
     )  # fmt: skip
@@ -63,13 +68,13 @@ def occupancy_plot(analysis: Analysis) -> Figure:
     if not len(track):
         return look.empty_figure("no occupancy was recorded")
     figure, axes = look.new_panel(2.7)
-    axes.fill_between(track.t_s, track.expected_voxels, color=look.SERIES[0], alpha=0.18, linewidth=0)
-    axes.plot(track.t_s, track.expected_voxels, color=look.SERIES[0], label="expected occupied (sum of probabilities)")
+    axes.fill_between(track.t_s, track.expected_voxels, color=look.INK, alpha=0.12, linewidth=0)
+    axes.plot(track.t_s, track.expected_voxels, color=look.INK, label="expected occupied (sum of probabilities)")
     axes.plot(track.t_s, track.n_voxels, color=look.MUTED, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
     axes.set_ylim(0.0, max(1.0, 1.08 * float(track.n_voxels.max())))
     axes.set_ylabel("voxels")
     mark_events(axes, analysis)
-    axes.legend(loc="lower right")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncol=2)
     if track.grid is not None:
         litres = _LITRES_PER_M3 * track.grid.resolution_m**3
         both_ways: Any = (lambda voxels: voxels * litres, lambda volume: volume / litres)
@@ -91,8 +96,8 @@ def joints_plot(analysis: Analysis) -> Figure:
     axes = figure.subplots(n_joints, 2, sharex=True, squeeze=False)
     for j, name in enumerate(track.names):
         left, right = axes[j]
-        left.plot(track.t_s[shown], track.q[shown, j], color=look.SERIES[0], linewidth=1.4)
-        right.plot(track.t_s[shown], track.v[shown, j], color=look.SERIES[1], linewidth=1.2)
+        left.plot(track.t_s[shown], track.q[shown, j], color=look.INK, linewidth=1.4)
+        right.plot(track.t_s[shown], track.v[shown, j], color=look.INK, linewidth=1.2)
         short = name.removeprefix("r_").removesuffix("_joint").replace("_", " ")
         left.set_ylabel(short, rotation=0, ha="right", va="center")
         fastest = np.inf if arm is None else float(arm.chain.velocity_limit[j])
@@ -127,16 +132,24 @@ def _histogram(axes: Axes, delay_ms: FloatArray, figures: LatencyFigures) -> Non
     if figures.median_ms is None or figures.p99_ms is None:
         look.note(axes, "no samples")
         return
-    bins = int(np.clip(round(2.0 * np.sqrt(len(delay_ms))), 5, _MAX_BINS))
-    axes.hist(delay_ms, bins=bins, color=look.SERIES[4], edgecolor="white", linewidth=0.4)
+    # The first posture may wait for what is made at its use; one such delay must not squash all others.
+    far = delay_ms > max(_FAR * figures.median_ms, figures.median_ms + 1.0)
+    beyond = int(far.sum()) if far.mean() <= _MOST_FAR else 0
+    shown_ms = delay_ms[~far] if beyond else delay_ms
+    bins = int(np.clip(round(2.0 * np.sqrt(len(shown_ms))), 5, _MAX_BINS))
+    axes.hist(shown_ms, bins=bins, color=look.MUTED, edgecolor="white", linewidth=0.4)
     axes.axvline(figures.median_ms, color=look.INK, linewidth=1.2)
-    axes.axvline(figures.p99_ms, color=look.INK, linewidth=1.2, linestyle=(0, (4, 2)))
+    if not beyond or figures.p99_ms <= shown_ms.max():
+        axes.axvline(figures.p99_ms, color=look.INK, linewidth=1.2, linestyle=(0, (4, 2)))
+    if beyond:
+        text = f"{beyond} more, up to {delay_ms.max():.0f} ms →"
+        axes.text(0.99, 0.95, text, ha="right", va="top", fontsize=8, color=look.MUTED, transform=axes.transAxes)
     axes.annotate(
         f"median {figures.median_ms:.1f} ms, 99 % below {figures.p99_ms:.1f} ms, n = {figures.count}", (0.0, 1.0),
         xytext=(0, 5), xycoords="axes fraction", textcoords="offset points", fontsize=8, color=look.MUTED,
     )  # fmt: skip
-    if delay_ms.min() < 0.7 * delay_ms.max():  # far from zero, the shape says more than the distance to it
-        axes.set_xlim(left=min(0.0, float(delay_ms.min())))
+    if shown_ms.min() < 0.7 * shown_ms.max():  # far from zero, the shape says more than the distance to it
+        axes.set_xlim(left=min(0.0, float(shown_ms.min())))
     axes.set_xlabel("ms")
     axes.set_ylabel("count")
     axes.locator_params(axis="y", integer=True)
@@ -159,7 +172,8 @@ def mark_events(axes: Axes, analysis: Analysis, *, labels: bool = True, xlabel: 
 
     The axis spans the run from its origin: what the robot reported before is standing still.
     """
-    run, summary, colours = analysis.run, analysis.summary, analysis.colours
+    run, summary = analysis.run, analysis.summary
+    axes.set_label(look.TIME)
     axes.set_xlim(0.0, run.duration_s if run.duration_s > 0.0 else 1.0)
     if xlabel:
         axes.set_xlabel("time since the first posture in s")
@@ -168,10 +182,9 @@ def mark_events(axes: Axes, analysis: Analysis, *, labels: bool = True, xlabel: 
         events.append((run.motion_duration_s, "human at rest", look.MUTED, ":"))
     for switch in summary.switches:
         t_s = switch.t_s if switch.t_effect_s is None else switch.t_effect_s
-        events.append((t_s, f"arm turns to {switch.goal_after}", colours.get(switch.goal_after, look.INK), "-"))
+        events.append((t_s, f"arm turns to {switch.goal_after}", look.INK, "-"))
     if summary.reached is not None:
-        goal = summary.reached.goal
-        events.append((summary.reached.t_s, f"arm at {goal}", colours.get(goal, look.INK), (0, (4, 2))))
+        events.append((summary.reached.t_s, f"arm at {summary.reached.goal}", look.INK, (0, (4, 2))))
     for parts, text, colour in (
         (summary.holds, "hold", look.ALARM),
         (summary.evasions, "arm moves aside", look.CAUTION),

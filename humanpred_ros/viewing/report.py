@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import inspect
+import json
 import math
 import multiprocessing
 import os
@@ -18,26 +18,26 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 from humanpred_ros import __version__
+from humanpred_ros.errors import UsageError
 from humanpred_ros.resources import replacing
 from humanpred_ros.viewing.analysis import Analysis, RunSummary, analyse
-from humanpred_ros.viewing.figures import report_style, svg_of
-from humanpred_ros.viewing.key_figures import key_figures
+from humanpred_ros.viewing.figures import report_style, svg_of, time_axes
+from humanpred_ros.viewing.key_figures import key_figures, story
+from humanpred_ros.viewing.playback import Recording
 from humanpred_ros.viewing.plots_decisions import cost_terms_plot, goal_costs_plot, posterior_plot
 from humanpred_ros.viewing.plots_space import snapshots_plot, top_view_plot
 from humanpred_ros.viewing.plots_time import clearance_plot, joints_plot, latency_plot, occupancy_plot
 from humanpred_ros.viewing.recorded import RecordedDecision
 from humanpred_ros.viewing.reliability import reliability_plot
+from humanpred_ros.viewing.replay import environment as templates
+from humanpred_ros.viewing.replay import replay_data
 from humanpred_ros.viewing.run import Run, read_run
 
-_TEMPLATES = Path(__file__).resolve().parent / "templates"
 _TEMPLATE = "report.html.j2"
-#: Characters of a replay: with the plots, a report can be sent by mail.
-_LARGEST_REPLAY = 6_000_000
 #: Facts that are shown in the head of the report; all facts are in its last part.
 _HEAD_FACTS = ("scene", "library", "trajectory", "mode", "predictor", "seed")
 #: Recorded options of `humanpred demo`, as they are spelt on its command line.
@@ -67,13 +67,11 @@ def report_run(folder: str | Path, path: str | Path | None = None, namespace: st
 
 
 def _replay(analysis: Analysis) -> str:
-    """Return a page that plays the run in 3D; empty where viser or the scene is missing, or it is too large."""
-    if importlib.util.find_spec("viser") is None or analysis.workcell.scene is None or not analysis.run.duration_s:
+    """Return the data of the run's replay in 3D; empty where there is nothing to draw, or nowhere to draw it."""
+    try:
+        return replay_data(Recording(analysis.run, analysis.workcell))
+    except UsageError:
         return ""
-    from humanpred_ros.viewing.playback import Recording, replay_page
-
-    page = replay_page(Recording(analysis.run, analysis.workcell))
-    return page if len(page) <= _LARGEST_REPLAY else ""
 
 
 def write_report(analysis: Analysis, path: Path, replay: str = "") -> None:
@@ -82,7 +80,7 @@ def write_report(analysis: Analysis, path: Path, replay: str = "") -> None:
     Args:
         analysis: of the run.
         path: of the file.
-        replay: page that plays the run; none if empty.
+        replay: data of `replay_data`; no replay if empty.
 
     Raises:
         UsageError: the file cannot be written there.
@@ -93,25 +91,21 @@ def write_report(analysis: Analysis, path: Path, replay: str = "") -> None:
 
 
 def render_report(analysis: Analysis, replay: str = "") -> str:
-    """Return the report as HTML text; `replay` is a page that plays the run, none if empty."""
+    """Return the report as HTML text; `replay` is data of `replay_data`, none if empty."""
     run, summary = analysis.run, analysis.summary
-    environment = Environment(
-        loader=FileSystemLoader(_TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = templates()
+    told = {**run.facts, **({"scene": scene.name} if (scene := analysis.workcell.scene) else {})}
     environment.filters.update(number=_number, cost=_cost)
     plots = draw_plots(analysis)
     with report_style():
         reliability = svg_of(reliability_plot(summary.calibration), "reliability") if summary.calibration else ""
     return environment.get_template(_TEMPLATE).render(
-        title=_title(run),
+        title=_title(analysis),
+        story=story(summary),
         run=run,
         summary=summary,
         figures=key_figures(summary),
-        head_facts=[(name, run.facts[name]) for name in _HEAD_FACTS if name in run.facts],
+        head_facts=[(name, told[name]) for name in _HEAD_FACTS if name in told],
         plots=plots,
         reliability=Markup(reliability),
         calibration=_calibration_rows(summary),
@@ -142,12 +136,13 @@ def told_of_goals(steps: Sequence[RecordedDecision]) -> dict[str, Any]:
 
 
 class Plot(NamedTuple):
-    """One plot: `key` names it in links, `svg` is an element ready to stand in HTML."""
+    """One plot: `key` names it in links, `svg` is an element ready to stand in HTML, `axes` is `time_axes` as JSON."""
 
     key: str
     title: str
     caption: str
     svg: Markup
+    axes: str
 
 
 #: The report's plots by key. Title and caption are the function's docstring; a plot without data says so.
@@ -194,8 +189,14 @@ def _send_drawn(sender: Connection, keys: Sequence[str], analysis: Analysis) -> 
 
 
 def _drawn(keys: Sequence[str], analysis: Analysis) -> list[Plot]:
-    drawn = [(key, *_told(_PLOTS[key]), svg_of(_PLOTS[key](analysis), key)) for key in keys]
-    return [Plot(key, title, caption, Markup(svg)) for key, title, caption, svg in drawn]
+    plots = []
+    for key in keys:
+        figure = _PLOTS[key](analysis)
+        # Nothing to draw is a sentence, not a canvas.
+        text = str(figure.get_label())
+        svg = escape(f"{text[:1].upper()}{text[1:]}.") if text else svg_of(figure, key)
+        plots.append(Plot(key, *_told(_PLOTS[key]), Markup(svg), json.dumps(time_axes(figure))))
+    return plots
 
 
 def _told(draw: Callable[[Analysis], Figure]) -> tuple[str, str]:
@@ -234,8 +235,10 @@ def _calibration_rows(summary: RunSummary) -> list[tuple[str, list[str]]]:
     ]
 
 
-def _title(run: Run) -> str:
-    scene = Path(run.facts["scene"]).stem.replace("_", " ") if run.facts.get("scene") else run.folder.resolve().name
+def _title(analysis: Analysis) -> str:
+    run, known = analysis.run, analysis.workcell.scene
+    name = Path(run.facts["scene"]).stem if run.facts.get("scene") else run.folder.resolve().name
+    scene = (name if known is None else known.name).replace("_", " ")
     trajectory = run.facts.get("trajectory")
     return f"{scene[:1].upper()}{scene[1:]}" + (f", reach {trajectory}" if trajectory else "")
 

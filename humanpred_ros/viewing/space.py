@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 _PORTS_TRIED = 20
 _GHOST_OPACITY, _LIGHT = 0.25, 2.0
 #: Where one looks from, m from the middle of the tasks: away from the person, to their left, and up.
-_VIEWS: Mapping[str, tuple[float, float, float]] = {
+VIEWS: Mapping[str, tuple[float, float, float]] = {
     "side": (0.3, 2.4, 0.9),
     "above": (-0.01, 0.0, 3.2),
     "robot": (2.4, 0.0, 0.9),
@@ -165,7 +165,7 @@ class SpaceView:
             self._shown = {name: gui.add_checkbox(name, on) for name, on in _LAYERS.items()}
             self._body = gui.add_dropdown("people", (_EVERYBODY,))
             self._threshold = gui.add_slider("occupancy from", 0.0, 1.0, 0.01, _FIRST_THRESHOLD)
-            views = gui.add_button_group("look from", tuple(_VIEWS))
+            views = gui.add_button_group("look from", tuple(VIEWS))
         controls: list[Any] = [*self._shown.values(), self._threshold, self._body]
         for control in controls:
             control.on_update(lambda _: self._again())
@@ -222,7 +222,7 @@ class SpaceView:
     def _look(self, camera: Any, name: str) -> None:
         if camera is None:
             return
-        away, left, up = _VIEWS[name]
+        away, left, up = VIEWS[name]
         ahead = (self._middle - self._scene.T_world_human[:3, 3]) * [1.0, 1.0, 0.0]
         ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
         aside = np.array([-ahead[1], ahead[0], 0.0])

@@ -10,7 +10,7 @@ import numpy as np
 
 from humanpred_ros.errors import printable
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.viewing.figures import MUTED, SERIES
+from humanpred_ros.viewing.figures import CLASSES, MUTED
 
 LASTS_S = 30.0
 #: So often a sample is kept, and a chart is drawn anew: a browser draws a chart from the beginning each time.
@@ -84,7 +84,7 @@ class Strip:
                 # The second cue, for those who do not see colours: dashes.
                 {
                     "label": printable(name),
-                    "stroke": self._colour_of(name) or SERIES[k % len(SERIES)],
+                    "stroke": self._colour_of(name) or CLASSES[k % len(CLASSES)],
                     "width": 2,
                     "dash": [[], [8, 3], [3, 3]][k % 3],
                 }

@@ -18,7 +18,7 @@ from waiting import wait_until
 
 from humanpred_ros.errors import UsageError
 from humanpred_ros.robot.scene import load_scene
-from humanpred_ros.viewing.playback import Player, Recording, replay_page
+from humanpred_ros.viewing.playback import Player, Recording
 from humanpred_ros.viewing.recorded import GoalPlan, RecordedDecision
 from humanpred_ros.viewing.run import Run
 from humanpred_ros.viewing.space import (
@@ -110,12 +110,6 @@ def test_a_page_is_served_and_plays(page: tuple[SpaceView, str], recording: Reco
     finally:
         ended.set()
         thread.join()
-
-
-def test_a_page_plays_by_itself(recording: Recording) -> None:
-    page = replay_page(recording)
-    assert "__VISER_EMBED_DATA__" in page
-    assert len(page) < 6_000_000
 
 
 def test_strange_moments_are_drawn_too(page: tuple[SpaceView, str]) -> None:

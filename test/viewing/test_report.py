@@ -82,15 +82,6 @@ def test_page_needs_nothing_else(page: Page, text: str) -> None:
     assert not re.search(r"@import|url\((?!#)", text)
 
 
-def test_a_replay_stands_in_the_page_and_reaches_nothing_else(analysis: Analysis, text: str) -> None:
-    page = Page(render_report(analysis, replay='<script>parent.stolen = "</iframe>"</script>'))
-    assert "replay" in page.ids
-    assert "script" not in page.tags
-    assert "iframe" in page.tags
-    assert 'sandbox="allow-scripts"' in render_report(analysis, replay="<p>")
-    assert "<iframe" not in text
-
-
 def test_links_lead_somewhere_and_ids_are_unique(page: Page) -> None:
     assert len(page.ids) == len(set(page.ids))
     for reference in page.references:
