@@ -97,6 +97,9 @@ class OccupancySettings(LibrarySettings):
     margin_voxels: int = setting(
         2, "voxels by which the region that counts is wider than what the library sweeps", low=0
     )
+    by_time: bool = setting(
+        False, "score when voxels will be occupied, in slices of 0.2 s, instead of whether they will be"
+    )
     shift: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0),
         "move the tested people by DX,DY,YAW, in metres and in degrees about the library's start pelvis; what was "
@@ -250,7 +253,7 @@ def evaluate_occupancy(
     check_needs(learned_from, needs, "--predictor")
     if any(need is not None for need in needs.values()):
         check_trainable(learned_from)
-    grid, T_world_human = _space(library, settings, human, {flag.motion for flag in flags if flag.reason == "wild"})
+    grid, T_world_human = space_of(library, settings, human, {flag.motion for flag in flags if flag.reason == "wild"})
     dx, dy, turn_deg = settings.shift
     T_shift = turn_and_shift(math.radians(turn_deg), (dx, dy, 0.0), start_pelvis_m(library))
     moved = MotionLibrary(library.name, tuple(placed(motion, T_shift) for motion in library))
@@ -305,7 +308,7 @@ def _needs_of(predictor: str) -> Needs | None:
     return LEARNS_FROM_OTHERS if found.classifiers == () else LEARNS_CLASSES
 
 
-def _space(
+def space_of(
     library: MotionLibrary, settings: OccupancySettings, human: HumanModel, wild: Collection[str]
 ) -> tuple[VoxelGrid, FloatArray]:
     """Return lattice and human placement; motions in `wild` have left the room and do not say where people are."""
@@ -338,4 +341,8 @@ def measure(settings: OccupancySettings, begin: Begin) -> Report:
     """
     library = settings.read_library()
     advance = begin("motions", len(tested_motions(library, settings.every)))
+    if settings.by_time:
+        from humanpred_ros.evaluation.occupancy_in_time import evaluate_in_time
+
+        return evaluate_in_time(library, settings, advance)
     return report_of(*evaluate_occupancy(library, settings, advance))

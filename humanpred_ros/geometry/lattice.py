@@ -136,3 +136,40 @@ class Occupancy:
         kept = np.zeros(self.grid.size, dtype=np.float32)
         kept[flat] = probability_of_code()[codes_of(self.probability.ravel()[flat])]
         return Occupancy(self.grid, kept.reshape(self.grid.shape), self.t_s)
+
+
+@dataclass(frozen=True, eq=False)
+class OccupancyInTime:
+    """Probability that the human is in a voxel at some time of a slice, for slices that follow each other.
+
+    Attributes:
+        grid: the lattice.
+        edges_s: (S + 1,) where slices begin and end, seconds after `t_s`, ascending from 0; the last may be infinite.
+        voxels: (N,) flat indices, ascending, of the voxels that may be occupied; all others have probability 0.
+        probability: (N, S) float32 of these voxels, each value in [0, 1].
+        t_s: stamp of the observed posture it follows from, in seconds.
+    """
+
+    grid: VoxelGrid
+    edges_s: NDArray[np.float64]
+    voxels: NDArray[np.int64]
+    probability: NDArray[np.float32]
+    t_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.probability.shape != (len(self.voxels), len(self.edges_s) - 1):
+            raise ArrayError(
+                f"occupancy in time: wanted probabilities of shape {(len(self.voxels), len(self.edges_s) - 1)}, "
+                f"got {self.probability.shape}"
+            )
+
+    def slice_at(self, ahead_s: float) -> int:
+        """Return the number of the slice that holds a time so long after `t_s`; the last one beyond all."""
+        found = int(np.searchsorted(self.edges_s, ahead_s, side="right")) - 1
+        return min(max(found, 0), len(self.edges_s) - 2)
+
+    def during(self, k: int) -> Occupancy:
+        """Return slice `k` as an occupancy of the whole lattice."""
+        p = np.zeros(self.grid.size, dtype=np.float32)
+        p[self.voxels] = self.probability[:, k]
+        return Occupancy(self.grid, p.reshape(self.grid.shape), self.t_s)

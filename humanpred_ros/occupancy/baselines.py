@@ -5,6 +5,7 @@ They know no library. What sets a prediction learned from recordings apart from 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import deque
 
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from humanpred_ros.errors import MotionError
 from humanpred_ros.geometry.checks import FloatArray, checked
-from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
+from humanpred_ros.geometry.lattice import Occupancy, OccupancyInTime, VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import is_angle
 from humanpred_ros.occupancy.predictor import Prediction, Predictor, PredictorRequest
@@ -23,6 +24,8 @@ from humanpred_ros.settings import Settings, setting
 _TURN = 2 * np.pi
 #: A joint that may turn this far has no end it could stop at (limits written as plus and minus pi, rounded).
 _FULL_TURN = _TURN - 1e-3
+#: Postures of a slice of time that are looked at.
+_LOOKS = 7
 
 
 class CurrentOccupancyPredictor(Predictor):
@@ -170,6 +173,21 @@ class ConstantVelocityPredictor(Predictor):
         occupied = self._voxeliser.mask(self._ahead(q))
         return Prediction(Occupancy(self.grid, occupied.astype(np.float32), t_s), None)
 
+    def in_time(self, edges_s: FloatArray) -> OccupancyInTime | None:
+        """Return where the body gets in each slice: its velocity falls evenly to zero within twice `horizon_s`."""
+        if not self._recent:
+            return None
+        t_s, q = self._recent[-1]
+        stop_s = 2.0 * self.settings.horizon_s
+        masks = []
+        for begin_s, end_s in itertools.pairwise(edges_s):
+            t = np.minimum(np.linspace(begin_s, min(end_s, max(begin_s, stop_s)), _LOOKS), stop_s)
+            way_s = t - t * t / (2.0 * stop_s)
+            masks.append(self._voxeliser.mask(self._clipped(q + way_s[:, None] * self.velocity(), q)).ravel())
+        occupied = np.stack(masks, axis=1)
+        voxels = np.flatnonzero(occupied.any(axis=1))
+        return OccupancyInTime(self.grid, edges_s, voxels, occupied[voxels].astype(np.float32), t_s)
+
     def velocity(self) -> FloatArray:
         """Return the joint velocities (D,) of the last while, per second; zero before the second posture."""
         if len(self._recent) < 2:
@@ -183,12 +201,15 @@ class ConstantVelocityPredictor(Predictor):
 
     def _ahead(self, q: FloatArray) -> FloatArray:
         """Return postures (N, D) from the present one to the one at the horizon."""
-        end = q + self.velocity() * self.settings.horizon_s
-        # A tracked posture may lie beyond a limit already; it does not snap back.
-        end = np.clip(end, np.minimum(self._lower, q), np.maximum(self._upper, q))
+        end = self._clipped(q + self.velocity() * self.settings.horizon_s, q)
         poses = self._human.link_poses(np.stack([q, end]))
         way_m = float(np.linalg.norm(poses[1, :, :3, 3] - poses[0, :, :3, 3], axis=1).max())
         steps = math.ceil(way_m / (self.settings.step_voxels * self.grid.resolution_m))
         share = np.linspace(0.0, 1.0, 1 + min(steps, self.settings.most_postures - 1))
         postures: FloatArray = q + share[:, None] * (end - q)
         return postures
+
+    def _clipped(self, ahead: FloatArray, q: FloatArray) -> FloatArray:
+        """Return postures (..., D) with joints at their limits; one tracked beyond already does not snap back."""
+        within: FloatArray = np.clip(ahead, np.minimum(self._lower, q), np.maximum(self._upper, q))
+        return within

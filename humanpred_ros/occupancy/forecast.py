@@ -18,11 +18,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
+from humanpred_ros.geometry.lattice import Occupancy, OccupancyInTime, VoxelGrid
 from humanpred_ros.occupancy import future_kernels as kernels
-from humanpred_ros.occupancy.future_kernels import Float32Array
+from humanpred_ros.occupancy.future_kernels import MOMENTS, Float32Array
 from humanpred_ros.occupancy.futures import MOST_FUTURES, FutureVoxels, RecordedFutures, SweepSettings
 from humanpred_ros.occupancy.predictor import Prediction, Predictor, PredictorRequest
+from humanpred_ros.occupancy.slice_kernels import SliceRoom, collect_slices, follow_in_time
 from humanpred_ros.recognition.classifier import Classifier
 from humanpred_ros.recognition.forest_classifier import ForestClassifier
 from humanpred_ros.settings import setting
@@ -102,6 +103,10 @@ class ForecastPredictor(Predictor):
         step_m = self.settings.step_voxels * grid.resolution_m
         self._exemplars = forest.model.exemplars
         self._futures = RecordedFutures.of(self._exemplars, forest.human, self._voxels.parts, step_m)
+        n_moments = MOMENTS * np.maximum(np.diff(self._exemplars.first) - 1, 1)
+        self._moment_s = self._exemplars.duration_s / n_moments
+        self._room: SliceRoom | None = None
+        self._last: tuple[FloatArray, float] | None = None
         # What is compiled or put in order at its first use is used here: the first posture must not wait for it.
         _ = forest.model.forest.leaf_members
         start = forest.model.exemplars.q[0]
@@ -119,14 +124,49 @@ class ForecastPredictor(Predictor):
     def start(self) -> None:
         """Forget what was observed: the next posture is the first of a new motion."""
         self._recogniser.start()
+        self._last = None
 
     def update(self, q: FloatArray, t_s: float) -> Prediction:
         """Take one posture (D,) stamped `t_s`; raises what the classifier raises, and then changes nothing."""
         posterior = self._recogniser.update(q, t_s)
         chosen, probability = self._drawn(self._forest.exemplar_weights())
+        self._last = np.array(q), t_s
         T_library_tracker = self._forest.alignment
         p = self._probability(q, T_library_tracker, chosen, probability)
         return Prediction(Occupancy(self.grid, p, t_s), posterior, T_library_tracker)
+
+    def in_time(self, edges_s: FloatArray) -> OccupancyInTime | None:
+        """Return when the futures touch which voxels, each in the time its motion took; None where that is not known.
+
+        When a recorded motion ends, the body stays.
+        """
+        if self._last is None or not np.isfinite(self._moment_s).all():
+            return None
+        q, t_s = self._last
+        voxels, parts = self._voxels, self._voxels.parts
+        if self._room is None or self._room.bits.shape[1] != len(edges_s) - 1:
+            self._room = SliceRoom.of(self.grid.size, len(edges_s) - 1)
+        chosen, probability = self._drawn(self._forest.exemplar_weights())
+        T_library_tracker = self._forest.alignment
+        now = T_library_tracker @ voxels.human.link_poses(q)[parts.link]
+        follow_in_time(
+            chosen,
+            np.ascontiguousarray(now[:, :3]),
+            self._futures.ways,
+            self._moment_s,
+            np.ones(len(chosen)),
+            np.asarray(edges_s, dtype=np.float64),
+            self.settings.kept,
+            self.settings.fade,
+            voxels.T_grid_human @ np.linalg.inv(T_library_tracker),
+            parts.points,
+            parts.first,
+            voxels.balls,
+            self.grid.shape,
+            self._room,
+        )
+        touched, p = collect_slices(probability, voxels.body(q), self.settings.spread, self._room)
+        return OccupancyInTime(self.grid, edges_s, touched, p, t_s)
 
     def futures(self, q: FloatArray) -> list[tuple[float, FloatArray]]:
         """Return the ways that the hands of a person in posture (D,), updated with last, may go, for people to see.

@@ -128,7 +128,7 @@ def follow(
     """
     x, y, z = points
     n_rounds = rounds.shape[1] - 1
-    index = np.empty(_most_in_a_round(rounds), np.uint32)
+    index = np.empty(most_in_a_round(rounds), np.uint32)
     turn, R, pose, M = np.empty(3), np.empty((3, 3)), np.empty((3, 4)), np.empty((3, 4))
     per_voxel = np.sqrt(T_grid_library[0, 0] ** 2 + T_grid_library[0, 1] ** 2 + T_grid_library[0, 2] ** 2)
     for i in range(len(chosen)):
@@ -139,26 +139,16 @@ def follow(
         fade_moments = fade * max(1, (ways.begin[k + 1] - ways.begin[k] - 1) * MOMENTS)
         for p in range(len(now)):
             exemplar = ways.present[e, p]
-            _turn_between(exemplar, now[p], turn)
+            turn_between(exemplar, now[p], turn)
             for n in range(ways.first[k, p], ways.first[k, p + 1]):
                 lag = ways.moment[n] - present_moment
                 if lag <= 0:
                     continue
                 left = kept + (1.0 - kept) * np.exp(-lag / fade_moments)
-                _rotation(turn, left, R)
-                for a in range(3):
-                    for b in range(3):
-                        pose[a, b] = (
-                            R[a, 0] * ways.pose[n, 0, b] + R[a, 1] * ways.pose[n, 1, b] + R[a, 2] * ways.pose[n, 2, b]
-                        )
-                    pose[a, 3] = ways.pose[n, a, 3] + left * (now[p, a, 3] - exemplar[a, 3])
+                turned_pose(ways.pose[n], exemplar, now[p], turn, left, R, pose)
                 chain(T_grid_library, pose, M)
                 begin, end = rounds[p, n % n_rounds], rounds[p, n % n_rounds + 1]
-                xs, ys, zs = x[begin:end], y[begin:end], z[begin:end]
-                if _holds_ball(shape, M, balls[p], per_voxel):
-                    _voxels_within(M, xs, ys, zs, shape, index)
-                else:
-                    _voxels(M, xs, ys, zs, shape, index)
+                voxels_of(M, x[begin:end], y[begin:end], z[begin:end], balls[p], per_voxel, shape, index)
                 for j in range(end - begin):
                     touched[index[j]] |= bit
 
@@ -187,7 +177,7 @@ def sweep(
     """
     x, y, z = points
     n_rounds = rounds.shape[1] - 1
-    index = np.empty(_most_in_a_round(rounds), np.uint32)
+    index = np.empty(most_in_a_round(rounds), np.uint32)
     M = np.empty((3, 4))
     per_voxel = np.sqrt(T_grid_human[0, 0] ** 2 + T_grid_human[0, 1] ** 2 + T_grid_human[0, 2] ** 2)
     n_futures, n_postures, n_parts = poses.shape[:3]
@@ -202,10 +192,7 @@ def sweep(
                 begin, end = rounds[p, turn % n_rounds], rounds[p, turn % n_rounds + 1]
                 turn += 1
                 chain(T_grid_human, poses[s, n, p], M)
-                if _holds_ball(shape, M, balls[p], per_voxel):
-                    _voxels_within(M, x[begin:end], y[begin:end], z[begin:end], shape, index)
-                else:
-                    _voxels(M, x[begin:end], y[begin:end], z[begin:end], shape, index)
+                voxels_of(M, x[begin:end], y[begin:end], z[begin:end], balls[p], per_voxel, shape, index)
                 for j in range(end - begin):
                     touched[index[j]] |= bit
 
@@ -282,13 +269,31 @@ def spread_out(
 
 
 @exact_part
-def _most_in_a_round(rounds: NDArray[np.int64]) -> int:
+def most_in_a_round(rounds: NDArray[np.int64]) -> int:
     """Return how many points the largest round has, with rounds (P, R + 1) as `first` in `BodyParts`."""
     most = 0
     for p in range(rounds.shape[0]):
         for r in range(rounds.shape[1] - 1):
             most = max(most, rounds[p, r + 1] - rounds[p, r])
     return most
+
+
+@exact_part
+def voxels_of(
+    M: FloatArray,
+    x: Float32Array,
+    y: Float32Array,
+    z: Float32Array,
+    ball: FloatArray,
+    per_voxel: float,
+    shape: tuple[int, int, int],
+    out: BitArray,
+) -> None:
+    """Write the flat voxels of points (n,) of a part moved by M (3, 4); one outside gets the number after the last."""
+    if _holds_ball(shape, M, ball, per_voxel):
+        _voxels_within(M, x, y, z, shape, out)
+    else:
+        _voxels(M, x, y, z, shape, out)
 
 
 @exact_part
@@ -333,7 +338,7 @@ def _voxels(
 
 
 @exact_part
-def _turn_between(A: Float32Array, B: FloatArray, out: FloatArray) -> None:
+def turn_between(A: Float32Array, B: FloatArray, out: FloatArray) -> None:
     """Write the rotation vector (3,) that turns pose A (3, 4) into B; zero where they are nearly opposite."""
     C = np.empty((3, 3))
     for a in range(3):
@@ -344,6 +349,32 @@ def _turn_between(A: Float32Array, B: FloatArray, out: FloatArray) -> None:
     if angle > 1e-3:
         scale = 0.5 * angle / np.sin(angle) if angle < 3.0 else 0.0
     out[0], out[1], out[2] = scale * (C[2, 1] - C[1, 2]), scale * (C[0, 2] - C[2, 0]), scale * (C[1, 0] - C[0, 1])
+
+
+@exact_part
+def turned_pose(
+    recorded: Float32Array,
+    exemplar: Float32Array,
+    now: FloatArray,
+    turn: FloatArray,
+    left: float,
+    R: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Write the pose (3, 4) of a part on its way: as recorded, with a share `left` of what differs at present.
+
+    Args:
+        recorded, exemplar, now: (3, 4) recorded then, recorded at the moment like the present, and present.
+        turn: (3,) from the exemplar to the present (`turn_between`).
+        left: share.
+        R: (3, 3) room to work in.
+        out: where to.
+    """
+    _rotation(turn, left, R)
+    for a in range(3):
+        for b in range(3):
+            out[a, b] = R[a, 0] * recorded[0, b] + R[a, 1] * recorded[1, b] + R[a, 2] * recorded[2, b]
+        out[a, 3] = recorded[a, 3] + left * (now[a, 3] - exemplar[a, 3])
 
 
 @exact_part

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from humanpred_ros import plugins
 from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
+from humanpred_ros.geometry.lattice import Occupancy, OccupancyInTime, VoxelGrid
 from humanpred_ros.geometry.solids import Obstacle
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion
@@ -25,6 +25,8 @@ from humanpred_ros.settings import Settings
 
 #: Enough for a motion to begin, go on and end.
 _WARM_UP_POSTURES = 40
+#: Slices of time that are predicted, s: 0.2 each up to 3, and all after it.
+SLICES_S = np.append(np.round(0.2 * np.arange(16), 9), np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +121,17 @@ class Predictor(ABC):
     @abstractmethod
     def update(self, q: FloatArray, t_s: float) -> Prediction:
         """Take one posture (D,) stamped `t_s` and return the prediction that follows from all so far."""
+
+    def in_time(self, edges_s: FloatArray) -> OccupancyInTime | None:
+        """Return when the voxels will be occupied, after the posture that was updated with last.
+
+        Args:
+            edges_s: (S + 1,) where slices begin and end, as of `OccupancyInTime`.
+
+        Returns:
+            None of a predictor that does not know times, and before the first posture.
+        """
+        return None
 
 
 def predictor_type(name: str) -> type[Predictor]:

@@ -73,6 +73,7 @@ class Exemplars:
     q: FloatArray  #: (M, D) postures, library frame, angles of a motion continuous
     features: Float32Array  #: (M, N_FEATURES) of the reach up to each posture, library frame
     start_pose: FloatArray  #: (K, 3) x, y and yaw of the pelvis at the start
+    duration_s: FloatArray  #: (K,) how long each motion took, s; NaN where that is not known
 
     def __post_init__(self) -> None:
         n_motions, n_postures = len(self.names), len(self.q)
@@ -83,10 +84,12 @@ class Exemplars:
             or self.first[-1] != n_postures
             or (np.diff(self.first) < 1).any()
             or self.features.shape != (n_postures, N_FEATURES)
+            or self.duration_s.shape != (n_motions,)
         ):
             raise ArrayError("exemplars: wanted arrays that agree on the numbers of motions and postures")
         object.__setattr__(self, "start_pose", checked("exemplars' start poses", self.start_pose, (n_motions, 3)))
-        for name in ("label", "first", "q", "features", "start_pose"):
+        object.__setattr__(self, "duration_s", np.asarray(self.duration_s, dtype=np.float64))
+        for name in ("label", "first", "q", "features", "start_pose", "duration_s"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @classmethod
@@ -109,6 +112,7 @@ class Exemplars:
             np.vstack(q),
             np.vstack(features),
             np.stack(starts),
+            np.array([motion.duration_s for motion in motions]),
         )
 
     def without(self, name: str) -> Exemplars:
@@ -122,6 +126,7 @@ class Exemplars:
             self.q[kept],
             self.features[kept],
             np.delete(self.start_pose, k, axis=0),
+            np.delete(self.duration_s, k),
         )
 
     @cached_property

@@ -47,7 +47,7 @@ _MOMENT_SCALE_M = np.repeat(np.array([1.0, 0.1], dtype=np.float32), 6)
 _MOMENT_WIDTH_M = 0.05
 #: Neighbouring postures say the same, and calibration has five parameters: every fourth one is enough.
 _CALIBRATED_ON = slice(None, None, 4)
-_EXEMPLARS = ("label", "first", "q", "features", "start_pose")
+_EXEMPLARS = ("label", "first", "q", "features", "start_pose", "duration_s")
 
 
 def drawn_motions(names: tuple[str, ...], settings: ForestSettings) -> NDArray[np.bool_]:
@@ -188,6 +188,7 @@ class ForestClassifier(Classifier):
             checked("exemplars", state["q"], ("M", len(human.dof_names))),
             np.ascontiguousarray(state["features"], dtype=np.float32),
             state["start_pose"],
+            state.get("duration_s", np.full(len(state["motions"]), np.nan)),  # a model of an older version has none
         )
         ends = np.cumsum(state["n_nodes"])[:-1]
         kinds = {"threshold": np.float64}

@@ -44,6 +44,7 @@ def futures() -> RecordedFutures:
         q.reshape(80, -1),
         np.zeros((80, N_FEATURES), dtype=np.float32),
         np.zeros((2, 3)),
+        np.ones(2),
     )
     return RecordedFutures.of(exemplars, HUMAN, PARTS, 0.01)
 
