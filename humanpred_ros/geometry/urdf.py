@@ -18,7 +18,7 @@ import hashlib
 import io
 import os
 import pickle
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -44,9 +44,52 @@ def read_description(urdf: Path) -> Description:
     if not urdf.is_file():
         raise UsageError(f"robot: wanted a URDF file, got {urdf}, which does not exist")
     try:
-        return parse_description(read_text(urdf, UsageError), urdf.resolve().parent)
+        return parse_description(urdf_text(urdf), urdf.resolve().parent)
     except UsageError as trouble:
         raise UsageError(f"robot: wanted a readable URDF, got {urdf}: {trouble}") from trouble
+
+
+@lru_cache(maxsize=8)
+def _expanded(urdf: Path, _state: tuple[str, int, int]) -> str:
+    try:
+        import xacro
+    except ImportError as missing:
+        raise UsageError(
+            "its macros need xacro, which is not installed: pip install xacro, or name what `xacro FILE` writes"
+        ) from missing
+    try:
+        return str(xacro.process_file(str(urdf)).toxml())
+    except Exception as trouble:  # whatever the file's own expressions raise
+        raise UsageError(f"xacro says: {trouble}") from trouble
+
+
+def urdf_text(urdf: Path, meshes: Callable[[Path], str] | None = None, *, visual: bool = True) -> str:
+    """Return the text of a URDF file, its macros (xacro) expanded.
+
+    Args:
+        urdf: the file.
+        meshes: returns the name to write for each mesh's file that is found; names stay as they are by default.
+        visual: keep what is only to be looked at; with `meshes` alone.
+
+    Raises:
+        UsageError: for a file that cannot be read, or whose macros cannot be expanded.
+    """
+    text = read_text(urdf, UsageError)
+    if "xmlns:xacro" in text and "<xacro:" in text:
+        text = _expanded(urdf, _state(str(urdf)))
+    if meshes is None:
+        return text
+    try:
+        robot = ElementTree.fromstring(text)
+    except ElementTree.ParseError as trouble:
+        raise UsageError(f"{urdf}: wanted a URDF (XML), got text that does not parse: {trouble}") from trouble
+    for link in robot.iterfind("link"):
+        for seen in link.findall("visual") if not visual else ():
+            link.remove(seen)
+    for mesh in robot.iter("mesh"):
+        if found := _mesh_file(mesh.get("filename", ""), urdf.resolve().parent):
+            mesh.set("filename", meshes(found))
+    return ElementTree.tostring(robot, encoding="unicode")
 
 
 @lru_cache(maxsize=32)
@@ -223,16 +266,27 @@ def _shape(geometry: Any, marked: bool, semi_axis_m: float | None) -> Shape:
 
 
 def _mesh(where: str, mesh: Any, folder: Path | None, files: list[tuple[str, int, int]]) -> FloatArray:
-    # package:// names a folder above the URDF, whatever that package is called in this installation.
-    name = str(mesh.filename).removeprefix("package://").removeprefix("file://")
-    folders = [] if folder is None else [folder, *folder.parents]
-    found = next((path for path in (base / name for base in folders or [Path("/")]) if path.is_file()), None)
+    found = _mesh_file(str(mesh.filename), folder)
     if found is None:
-        raise UsageError(f"{where}: wanted the mesh {mesh.filename}, which is not beside the URDF nor above it")
+        raise UsageError(
+            f"{where}: wanted the mesh {mesh.filename}, which is not beside the URDF nor above it, and in no share "
+            "folder of ROS; copy it there, or source its workspace"
+        )
     triangles = read_mesh(found, where)
     files.append(_state(str(found)))
     scaled: FloatArray = triangles if mesh.scale is None else triangles * mesh.scale
     return scaled
+
+
+def _mesh_file(filename: str, folder: Path | None) -> Path | None:
+    # package:// names a folder above the URDF, whatever that package is called in this installation, or one of ROS.
+    name = filename.removeprefix("package://").removeprefix("file://")
+    folders = [Path("/")] if folder is None else [folder, *folder.parents]
+    if filename.startswith("package://"):
+        folders += [
+            Path(entry) / "share" for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry
+        ]
+    return next((path for path in (base / name for base in folders) if path.is_file()), None)
 
 
 def read_mesh(file: Path, where: str) -> FloatArray:

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
+import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
@@ -15,7 +20,7 @@ from humanpred_ros.errors import RobotError
 from humanpred_ros.resources import share_file
 from humanpred_ros.robot.sections import Name, Section, read_section
 
-_EXAMPLES, _PACKAGE = "example-robot-data:", "package:"
+_EXAMPLES, _PACKAGE, _SHARE, _TOPIC = "example-robot-data:", "package:", "share:", "topic:"
 _EXAMPLE_FOLDER = Path("share", "example-robot-data", "robots")
 
 Number = StrictFloat | StrictInt
@@ -61,7 +66,8 @@ class RobotFile(Section):
 
     name: Name = Field(description="What messages and reports call it")
     description: Name = Field(
-        description="Its URDF: a file (relative to this one), example-robot-data:NAME or package:PYTHON_PACKAGE/FILE"
+        description="Its URDF: a file (relative to this one), example-robot-data:NAME, package:PYTHON_PACKAGE/FILE, "
+        "share:PACKAGE/FILE (in the share folder of an installation of ROS, conda or pip), or topic:/robot_description"
     )
     semantic: Name | None = Field(
         None, description="Its SRDF, given in the same ways: named states, and pairs of links that are not checked"
@@ -148,7 +154,11 @@ def find_source(source: str, folder: Path, suffix: str) -> Path:
     """
     if source.startswith(_EXAMPLES):
         return _find_example(source.removeprefix(_EXAMPLES), suffix)
-    if source.startswith(_PACKAGE):
+    if source.startswith(_TOPIC):
+        return _received(source.removeprefix(_TOPIC), suffix)
+    if source.startswith(_SHARE):
+        found = [prefix / "share" / source.removeprefix(_SHARE) for prefix in dict.fromkeys(_prefixes())]
+    elif source.startswith(_PACKAGE):
         package, _, file = source.removeprefix(_PACKAGE).partition("/")
         # Only a top-level name: looking for one below would run the package's own code.
         spec = find_spec(package) if package.isidentifier() else None
@@ -160,7 +170,30 @@ def find_source(source: str, folder: Path, suffix: str) -> Path:
     for path in found:
         if path.is_file():
             return path
-    raise RobotError(f"wanted the file {source}, looked for as {found[0]}, which does not exist; correct the path")
+    raise RobotError(
+        f"wanted the file {source}, looked for as {found[0]}, which does not exist; correct the path"
+        + (f", or install {source.removeprefix(_SHARE).partition('/')[0]}" if source.startswith(_SHARE) else "")
+    )
+
+
+def is_local(source: str) -> bool:
+    """Return whether a source is a file of the user's own, or was received, instead of part of something installed."""
+    return not source.startswith((_EXAMPLES, _PACKAGE, _SHARE))
+
+
+@cache
+def _received(topic: str, suffix: str) -> Path:
+    """Return a file with what a running robot publishes on a latched topic, received once in every process."""
+    # A process of its own: this package knows no ROS, and a node that reads this cannot wait for a message meanwhile.
+    command = [sys.executable, "-m", "humanpred_ros.nodes.latched_text", topic]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RobotError((done.stderr.strip() or "it ended without a word").splitlines()[-1])
+    folder = Path(tempfile.mkdtemp(prefix="humanpred-robot-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    path = folder / f"robot{suffix}"
+    path.write_text(done.stdout, encoding="utf-8")
+    return path
 
 
 def _find_example(name: str, suffix: str) -> Path:

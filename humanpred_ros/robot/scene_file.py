@@ -6,8 +6,10 @@ An angle is given in radians under `<name>_rad` or in degrees under `<name>_deg`
 from __future__ import annotations
 
 import os
+import shutil
+from itertools import count
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import yaml
 from pydantic import AfterValidator, BeforeValidator, Field, StrictInt, model_validator
@@ -15,8 +17,17 @@ from pydantic import AfterValidator, BeforeValidator, Field, StrictInt, model_va
 from humanpred_ros.errors import RobotError, SceneError
 from humanpred_ros.files import file_inside, read_yaml
 from humanpred_ros.geometry.checks import FloatArray
+from humanpred_ros.geometry.urdf import urdf_text
 from humanpred_ros.resources import share_file
-from humanpred_ros.robot.robot_file import Number, read_robot_file, robot_with_keys
+from humanpred_ros.robot.robot_file import (
+    Number,
+    find_source,
+    is_local,
+    read_robot_file,
+    robot_names,
+    robot_path,
+    robot_with_keys,
+)
 from humanpred_ros.robot.sections import Name, Section, read_section
 
 #: The files in which a run keeps the scene that it was made with, and that scene's robot.
@@ -273,32 +284,68 @@ def recorded_scene(folder: Path, name: str) -> str:
 
 
 def keep_scene(name_or_path: str | Path, folder: Path) -> None:
-    """Write a scene into a run's folder, with its robot's file, unless both come with the package.
+    """Write a scene into a run's folder with all of the user's own files that it needs, so that the run may travel.
 
-    Meshes and descriptions stay where they are; what is written names them by their absolute paths.
+    Those are the robot's file, its URDF (macros expanded), SRDF, spheres and meshes for collision, and meshes of the
+    scene. What comes with the package, or is part of something installed, stays there and is named as before.
 
     Raises:
-        SceneError, RobotError: for files that cannot be read.
+        SceneError, RobotError, UsageError: for files that cannot be read.
     """
     path = Path(name_or_path).absolute()
     if str(name_or_path) in scene_names():
         return
     scene = read_yaml(path, SceneError)
     robot_file = path.parent / (read_scene_file(path).robot.name or "")
+    numbers = count(1)
+
+    def kept(file: Path) -> str:
+        copied: str = copies.setdefault(file, f"robot_files/{next(numbers)}_{file.name}")
+        if not (folder / copied).exists():
+            shutil.copyfile(file, folder / copied)
+        return copied
+
+    copies: dict[Path, str] = {}
+    (folder / "robot_files").mkdir(exist_ok=True)
     if robot_file.suffix in (".yaml", ".yml"):
         robot = read_yaml(robot_file, RobotError)
-        for section, key in ((robot, "description"), (robot, "semantic"), (robot.get("collision") or {}, "spheres")):
-            _make_absolute(section, key, robot_file.parent)
+        if is_local(robot["description"]):
+            urdf = find_source(robot["description"], robot_file.parent, ".urdf")
+            (folder / "robot.urdf").write_text(urdf_text(urdf, kept, visual=False), encoding="utf-8")
+            robot["description"] = "robot.urdf"
+        for section, key, suffix in ((robot, "semantic", ".srdf"), (robot.get("collision") or {}, "spheres", ".xrdf")):
+            if key in section and is_local(section[key]):
+                section[key] = kept(find_source(section[key], robot_file.parent, suffix))
         (folder / _RECORDED_ROBOT).write_text(yaml.safe_dump(robot, sort_keys=False), encoding="utf-8")
         scene["robot"]["name"] = _RECORDED_ROBOT
     for obstacle in scene.get("obstacles") or ():
-        _make_absolute(obstacle, "mesh", path.parent)
+        if "mesh" in obstacle:
+            obstacle["mesh"] = kept(path.parent / obstacle["mesh"])
+    if not copies:
+        (folder / "robot_files").rmdir()
     (folder / RECORDED_SCENE).write_text(yaml.safe_dump(scene, sort_keys=False), encoding="utf-8")
 
 
-def _make_absolute(section: dict[str, Any], key: str, folder: Path) -> None:
-    if key in section and (folder / section[key]).is_file():
-        section[key] = str(folder / section[key])
+def scene_with_robot(name_or_path: str | Path, robot: str, folder: Path) -> Path:
+    """Write a scene with another robot, which stands where the scene's does, and return the file.
+
+    Raises:
+        SceneError, RobotError: for a scene that cannot be read or has no such start, or an unknown robot.
+    """
+    path = _scene_path(name_or_path).absolute()
+    scene, own = read_yaml(path, SceneError), robot_path(robot)
+    base = [key for key in scene["robot"] if key.startswith(("base", "yaw"))]
+    scene["robot"] = {
+        "name": robot if robot in robot_names() else str(own.absolute()),
+        **{key: scene["robot"][key] for key in base},
+    }
+    for obstacle in scene.get("obstacles") or ():
+        if "mesh" in obstacle:
+            obstacle["mesh"] = str(path.parent / obstacle["mesh"])
+    written = folder / RECORDED_SCENE
+    written.write_text(yaml.safe_dump(scene, sort_keys=False), encoding="utf-8")
+    start_of(read_scene_file(written))
+    return written
 
 
 def read_scene_file(name_or_path: str | Path) -> SceneFile:
@@ -310,13 +357,7 @@ def read_scene_file(name_or_path: str | Path) -> SceneFile:
     Raises:
         SceneError: if it cannot be read, or for unknown, missing or impossible values, with their place in the file.
     """
-    path = Path(name_or_path)
-    if path.suffix not in (".yaml", ".yml"):
-        if str(name_or_path) not in scene_names():
-            raise SceneError(
-                f"scene: wanted one of {', '.join(scene_names())} or the path of a .yaml file, got {str(path)!r}"
-            )
-        path = share_file("config", "scenes", f"{name_or_path}.yaml")
+    path = _scene_path(name_or_path)
     file = read_section(path, SceneFile, f"scene {path.stem}", SceneError)
     # Files that it names lie where it lies.
     name = file.robot.name
@@ -330,3 +371,14 @@ def read_scene_file(name_or_path: str | Path) -> SceneFile:
     if name and Path(name).suffix in (".yaml", ".yml"):
         robot = robot.model_copy(update={"name": str(path.parent / name)})
     return file.model_copy(update={"robot": robot, "obstacles": obstacles})
+
+
+def _scene_path(name_or_path: str | Path) -> Path:
+    path = Path(name_or_path)
+    if path.suffix in (".yaml", ".yml"):
+        return path
+    if str(name_or_path) not in scene_names():
+        raise SceneError(
+            f"scene: wanted one of {', '.join(scene_names())} or the path of a .yaml file, got {str(path)!r}"
+        )
+    return share_file("config", "scenes", f"{name_or_path}.yaml")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from small_robot import write_robot
+from small_robot import URDF, write_robot
 
 from humanpred_ros.errors import GoalUnreachableError, HumanPredError, RobotError, SceneError, UsageError
 from humanpred_ros.resources import share_file
 from humanpred_ros.robot.goals import Goal
 from humanpred_ros.robot.scene import Scene, load_scene
-from humanpred_ros.robot.scene_file import SceneFile, scene_names
+from humanpred_ros.robot.scene_file import SceneFile, keep_scene, recorded_scene, scene_names, scene_with_robot
 
 pytestmark = pytest.mark.core
 
@@ -451,6 +452,58 @@ def test_a_scene_may_name_a_robots_own_file(tmp_path: Path) -> None:
     assert (np.array(scene.grid.origin_m) + np.array(scene.grid.shape) * 0.05 > centre + radius).all()
 
 
+def test_a_runs_folder_holds_what_its_scene_needs(tmp_path: Path) -> None:
+    """The run may travel: nothing in it names the folder that the user's own files came from."""
+    import trimesh
+
+    own, run = tmp_path / "own", tmp_path / "run"
+    own.mkdir()
+    run.mkdir()
+    (own / "block.stl").write_bytes(trimesh.creation.box((0.08, 0.08, 0.4)).export(file_type="stl"))
+    block = '<mesh filename="block.stl"/>'
+    urdf = URDF.replace('<box size="0.08 0.08 0.4"/>', block)
+    urdf = urdf.replace('<link name="tool">', f'<link name="tool"><visual><geometry>{block}</geometry></visual>')
+    (own / "small.srdf").write_text('<robot name="small"><disable_collisions link1="hand" link2="upper"/></robot>')
+    write_robot(own, urdf=urdf, semantic="small.srdf", states={"home": [0.0, 0.5, 0.5, 0.0]})
+    scene = {
+        "name": "own",
+        "robot": {"name": "small.yaml", "base_m": [0.0, 0.0, 0.0]},
+        "start_state": "home",
+        "goals": [{"name": "there", "configuration_rad": [1.0, 0.5, 0.5, 0.0]}],
+        "obstacles": [{"name": "block", "mesh": "block.stl", "position_m": [3.0, 0.0, 0.0]}],
+        "human": {"offset_m": [0.0, 0.0, 0.0], "yaw_deg": 0},
+    }
+    (own / "scene.yaml").write_text(yaml.safe_dump(scene))
+    before = load_scene(own / "scene.yaml")
+    keep_scene(own / "scene.yaml", run)
+    shutil.move(run, tmp_path / "elsewhere")
+    shutil.rmtree(own)
+    after = load_scene(recorded_scene(tmp_path / "elsewhere", "own/scene.yaml"))
+    np.testing.assert_array_equal(after.arm.spheres().local_m, before.arm.spheres().local_m)
+    np.testing.assert_array_equal(after.start, before.start)
+    assert ("hand", "upper") in after.arm.robot.left_out
+    assert len(after.obstacles) == len(before.obstacles) == 1
+    files = [path for path in (tmp_path / "elsewhere").rglob("*") if path.suffix in (".yaml", ".urdf")]
+    assert not [path for path in files if str(tmp_path) in path.read_text(encoding="utf-8")]
+
+
+def test_another_robot_may_stand_where_the_scenes_does(tmp_path: Path) -> None:
+    """`humanpred demo --robot NAME_OR_FILE`."""
+    file = write_robot(tmp_path, states={"home": [0.0, 0.5, 0.5, 0.0]})
+    text = (share_file("config", "scenes", "ur5_face_to_face.yaml")).read_text(encoding="utf-8")
+    own = yaml.safe_load(text)
+    own = {**{key: own[key] for key in own if not key.startswith("start")}, "start_state": "home"}
+    own |= {"goals": [{"name": "there", "configuration_rad": [0.3, 0.5, 0.5, 0.0]}]}
+    (tmp_path / "own.yaml").write_text(yaml.safe_dump(own))
+    scene = load_scene(scene_with_robot(tmp_path / "own.yaml", str(file), tmp_path))
+    assert scene.arm.robot.name == "small"
+    np.testing.assert_array_equal(scene.arm.T_world_base, load_scene("ur5_face_to_face").arm.T_world_base)
+    with pytest.raises(HumanPredError, match="wanted 4 angles"):
+        scene_with_robot("face_to_face", str(file), tmp_path)
+    with pytest.raises(RobotError, match=r"wanted one of .* got 'r2d2'"):
+        scene_with_robot("face_to_face", "r2d2", tmp_path)
+
+
 def test_obstacles_of_every_kind_stand_anyhow(tmp_path: Path) -> None:
     import trimesh
 
@@ -471,8 +524,8 @@ def test_obstacles_of_every_kind_stand_anyhow(tmp_path: Path) -> None:
 
 
 WRONG_PANDA: dict[str, tuple[Change, type[HumanPredError], str]] = {
-    "an unknown robot": (lambda s: s["robot"].update(name="r2d2"), RobotError, "wanted one of panda, .* got 'r2d2'"),
-    "no robot": (lambda s: s["robot"].pop("name"), RobotError, "wanted its name, got none; add one of panda"),
+    "an unknown robot": (lambda s: s["robot"].update(name="r2d2"), RobotError, "wanted one of fr3, .* got 'r2d2'"),
+    "no robot": (lambda s: s["robot"].pop("name"), RobotError, "wanted its name, got none; add one of fr3"),
     "two bases": (lambda s: s["robot"].update(base_xy_m=[0, 0]), SceneError, "robot: wanted base_m, or base_xy_m"),
     "a yaw beside base_m": (lambda s: s["robot"].update(yaw_deg=0), SceneError, "yaw_deg with base_xy_m alone"),
     "another robot's key": (
