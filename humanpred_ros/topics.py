@@ -24,6 +24,10 @@ PLANNER = "stomp_planner"
 DECISION = "stomp_planner/decision"
 CANDIDATES = "stomp_planner/candidates"
 ROLLOUTS = "stomp_planner/rollouts"
+#: Solids and a cloud of points that come and go, as anybody tells the planner; and what it knows of the scene.
+OBSTACLES = "obstacles"
+OBSTACLE_CLOUD = "obstacles/cloud"
+SCENE_MARKERS = "stomp_planner/scene"
 #: What the separation guard says: whole percents of speed, and why the arm stands.
 SPEED_FACTOR = "speed_ovr"
 GUARD_STOP = "separation_guard/stop"

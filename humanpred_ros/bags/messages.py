@@ -203,7 +203,10 @@ def point_cloud2_fields(message: Any, names: Iterable[str] | None = None) -> dic
             }
         )
         raw = np.frombuffer(bytes(message.data), dtype=np.uint8).reshape(message.height, message.row_step)
-        rows = np.ascontiguousarray(raw[:, : message.width * message.point_step]).reshape(-1)
+        row_bytes = message.width * message.point_step
+        if row_bytes > message.row_step:
+            raise ValueError(f"rows of {message.row_step} bytes hold no {message.width} points")
+        rows = np.ascontiguousarray(raw[:, :row_bytes]).reshape(-1)
         table = rows.view(layout)
     except (KeyError, ValueError, TypeError) as trouble:
         raise BagError(

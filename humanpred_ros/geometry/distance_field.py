@@ -46,6 +46,12 @@ class SignedDistanceField:
         upper: FloatArray = self.origin_m + self.resolution_m * (np.array(self.values.shape) - 1)
         return upper
 
+    def lowered(self, obstacles: Sequence[Obstacle], cap_m: float) -> SignedDistanceField:
+        """Return the distance to more obstacles, too; larger distances from them than `cap_m` are not told apart."""
+        values = self.values.copy()
+        _lower(values, self.origin_m, self.resolution_m, obstacles, cap_m)
+        return SignedDistanceField(self.origin_m, self.resolution_m, values)
+
     def distance(self, points_m: FloatArray) -> FloatArray:
         """Return trilinearly interpolated distances (...) of world points (..., 3).
 
@@ -82,17 +88,17 @@ def build_distance_field(
     """Evaluate the exact distance to the nearest obstacle on a lattice that encloses a region.
 
     Args:
-        obstacles: at least one; where two overlap, the inside depth is that of the deeper one.
+        obstacles: at least one, if there is no cap; where two overlap, the inside depth is that of the deeper one.
         lower_m, upper_m: (3,) corners of the region; one node of border is added around it.
         resolution_m: distance between neighbouring nodes.
         cap_m: larger distances are stored as this, which saves most of the work where obstacles are small.
 
     Raises:
-        ArrayError: for no obstacles, an empty region, or a resolution or cap that is not positive.
+        ArrayError: for no obstacles and no cap, an empty region, or a resolution or cap that is not positive.
     """
     lower = checked("distance field lower corner", lower_m, (3,))
     upper = checked("distance field upper corner", upper_m, (3,))
-    if not obstacles:
+    if not obstacles and not np.isfinite(cap_m):
         raise ArrayError("distance field: wanted at least one obstacle, got none; the distance would be infinite")
     if not (upper > lower).all():
         raise ArrayError(f"distance field: wanted lower < upper, got {lower} and {upper}")
@@ -102,8 +108,16 @@ def build_distance_field(
         raise ArrayError(f"distance field: wanted a positive cap in metres, got {cap_m}")
     origin = lower - resolution_m
     shape = np.ceil((upper - origin) / resolution_m).astype(int) + 2
-    nodes = [origin[axis] + resolution_m * np.arange(shape[axis]) for axis in range(3)]
     values = np.full(shape, cap_m, dtype=np.float32)
+    _lower(values, origin, resolution_m, obstacles, cap_m)
+    return SignedDistanceField(origin, resolution_m, values)
+
+
+def _lower(
+    values: NDArray[np.float32], origin: FloatArray, resolution_m: float, obstacles: Sequence[Obstacle], cap_m: float
+) -> None:
+    """Lower the nodes' values to their distance from obstacles, as far as that is less than the cap."""
+    nodes = [origin[axis] + resolution_m * np.arange(values.shape[axis]) for axis in range(3)]
     for obstacle in obstacles:
         centre, half = obstacle.T_world_shape[:3, 3], obstacle.half_extent_m
         near = [
@@ -111,7 +125,6 @@ def build_distance_field(
             for axis in range(3)
         ]
         _lower_to(values[near[0], near[1], near[2]], [n[part] for n, part in zip(nodes, near, strict=True)], obstacle)
-    return SignedDistanceField(origin, resolution_m, values)
 
 
 def _lower_to(values: NDArray[np.float32], nodes: Sequence[FloatArray], obstacle: Obstacle) -> None:

@@ -95,6 +95,7 @@ class GraphNode(ManagedNode):
         *,
         max_age_s: float = math.inf,
         raw: bool = False,
+        **others: Any,
     ) -> Subscription:
         """Subscribe to an input of the node: its age, rate and latency are on /diagnostics.
 
@@ -106,6 +107,7 @@ class GraphNode(ManagedNode):
             profile: quality of service.
             max_age_s: once messages have come, the node cannot do its work after a longer silence.
             raw: the messages are wanted as they travel.
+            others: what else `create_subscription` takes.
         """
         name = self.resolve_topic_name(topic)
         heard = self.inputs[name] = Input(name, max_age_s)
@@ -128,7 +130,7 @@ class GraphNode(ManagedNode):
             link.listen(self, on_message, profile)
             heard.publishers = link.get_publisher_count
             return cast(Subscription, link)
-        subscription = self.create_subscription(kind, topic, on_message, profile, raw=raw)
+        subscription = self.create_subscription(kind, topic, on_message, profile, raw=raw, **others)
         heard.publishers = subscription.get_publisher_count
         return subscription
 

@@ -33,11 +33,13 @@ BONES = (
 _SMALLEST_SHOWN = 0.05  # probability below which a voxel is not worth a cube
 
 
-def _points(positions: FloatArray) -> list[Point]:
+def points_of(positions: FloatArray) -> list[Point]:
+    """Return positions (N, 3) as messages."""
     return [Point(x=float(x), y=float(y), z=float(z)) for x, y, z in positions]
 
 
-def _marker(kind: int, namespace: str, frame_id: str, stamp: Time, width_m: float, colour: ColorRGBA) -> Marker:
+def marker_of(kind: int, namespace: str, frame_id: str, stamp: Time, width_m: float, colour: ColorRGBA) -> Marker:
+    """Return a marker that adds something of one kind, width and colour."""
     marker = Marker(ns=namespace, type=kind, action=Marker.ADD, color=colour)
     marker.header.frame_id = frame_id
     marker.header.stamp = stamp
@@ -53,10 +55,10 @@ def _only_these() -> MarkerArray:
 
 def skeleton_markers(points: Mapping[str, FloatArray], frame_id: str, stamp: Time) -> MarkerArray:
     """Return the bones between the named points (3,) that are known."""
-    marker = _marker(Marker.LINE_LIST, "skeleton", frame_id, stamp, 0.03, ColorRGBA(r=0.9, g=0.6, b=0.3, a=1.0))
+    marker = marker_of(Marker.LINE_LIST, "skeleton", frame_id, stamp, 0.03, ColorRGBA(r=0.9, g=0.6, b=0.3, a=1.0))
     for first, second in BONES:
         if first in points and second in points:
-            marker.points += _points(np.array([points[first], points[second]]))
+            marker.points += points_of(np.array([points[first], points[second]]))
     return MarkerArray(markers=[marker])
 
 
@@ -64,8 +66,8 @@ def occupancy_markers(occupancy: Occupancy, stamp: Time) -> MarkerArray:
     """Return one cube per voxel that is likely enough, the more opaque the likelier."""
     flat = occupancy.voxels_above(_SMALLEST_SHOWN)
     size = 0.9 * occupancy.grid.resolution_m
-    marker = _marker(Marker.CUBE_LIST, "occupancy", "world", stamp, size, ColorRGBA(r=0.9, g=0.2, b=0.2, a=1.0))
-    marker.points = _points(occupancy.grid.centres_m(flat))
+    marker = marker_of(Marker.CUBE_LIST, "occupancy", "world", stamp, size, ColorRGBA(r=0.9, g=0.2, b=0.2, a=1.0))
+    marker.points = points_of(occupancy.grid.centres_m(flat))
     marker.colors = [
         ColorRGBA(r=0.9, g=0.2, b=0.2, a=0.1 + 0.5 * float(p)) for p in occupancy.probability.ravel()[flat]
     ]
@@ -88,8 +90,8 @@ def candidate_markers(paths: Sequence[tuple[str, FloatArray, bool]], stamp: Time
     array = _only_these()
     for name, positions, chosen in paths:
         colour = ColorRGBA(r=0.1, g=0.8, b=0.2, a=1.0) if chosen else ColorRGBA(r=0.6, g=0.6, b=0.6, a=0.8)
-        marker = _marker(Marker.LINE_STRIP, f"candidate/{name}", "world", stamp, 0.012, colour)
-        marker.points = _points(positions)
+        marker = marker_of(Marker.LINE_STRIP, f"candidate/{name}", "world", stamp, 0.012, colour)
+        marker.points = points_of(positions)
         array.markers.append(marker)
     return array
 
@@ -99,10 +101,10 @@ def rollout_markers(rollouts: Sequence[tuple[str, Sequence[FloatArray]]], stamp:
     array = _only_these()
     for name, paths in rollouts:
         colour = ColorRGBA(r=0.3, g=0.5, b=0.9, a=0.4)
-        marker = _marker(Marker.LINE_LIST, f"rollouts/{name}", "world", stamp, 0.003, colour)
+        marker = marker_of(Marker.LINE_LIST, f"rollouts/{name}", "world", stamp, 0.003, colour)
         for positions in paths:
             ends = np.repeat(positions, 2, axis=0)[1:-1]  # a list of separate lines: inner points twice
-            marker.points += _points(ends)
+            marker.points += points_of(ends)
         array.markers.append(marker)
     return array
 
@@ -110,11 +112,11 @@ def rollout_markers(rollouts: Sequence[tuple[str, Sequence[FloatArray]]], stamp:
 def separation_markers(body_m: FloatArray, arm_m: FloatArray, text: str, factor: float, stamp: Time) -> MarkerArray:
     """Return the line between the two points (3,) that decide, world frame, and what is said of it; red at a stop."""
     colour = ColorRGBA(r=1.0 - factor, g=factor, b=0.1, a=1.0)
-    line = _marker(Marker.LINE_LIST, "separation", "world", stamp, 0.01, colour)
-    line.points = _points(np.array([body_m, arm_m]))
-    words = _marker(Marker.TEXT_VIEW_FACING, "separation/terms", "world", stamp, 0.0, colour)
+    line = marker_of(Marker.LINE_LIST, "separation", "world", stamp, 0.01, colour)
+    line.points = points_of(np.array([body_m, arm_m]))
+    words = marker_of(Marker.TEXT_VIEW_FACING, "separation/terms", "world", stamp, 0.0, colour)
     words.scale.z, words.text = 0.05, text
-    (words.pose.position,) = _points(0.5 * (body_m + arm_m)[None] + np.array([0.0, 0.0, 0.1]))
+    (words.pose.position,) = points_of(0.5 * (body_m + arm_m)[None] + np.array([0.0, 0.0, 0.1]))
     return MarkerArray(markers=[line, words])
 
 

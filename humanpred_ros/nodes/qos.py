@@ -23,6 +23,13 @@ COMMAND = QoSProfile(depth=16, reliability=ReliabilityPolicy.RELIABLE)
 #: Descriptions (URDF, voxel lattice) that a late subscriber still gets.
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
+#: Everything that publishers keep for late subscribers.
+LATCHED_HISTORY = QoSProfile(
+    history=HistoryPolicy.KEEP_ALL,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
 #: Pictures for people.
 MARKERS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 

@@ -82,6 +82,8 @@ class RunRecorder(GraphNode):
             (topics.DECISION, DiagnosticArray, qos.LOSSLESS),
             (topics.TRAJECTORY, JointTrajectory, qos.LOSSLESS),
             (topics.JOINT_STATES, JointState, qos.LOSSLESS),
+            (topics.OBSTACLES, MarkerArray, qos.LOSSLESS),
+            (topics.SCENE_MARKERS, MarkerArray, qos.LATCHED),
             (topics.DIAGNOSTICS, DiagnosticArray, qos.LOSSLESS),
             (topics.CLOCK, Clock, qos.LOSSLESS),
         ]

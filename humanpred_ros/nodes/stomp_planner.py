@@ -24,6 +24,7 @@ from humanpred_ros.nodes.base import entry_point
 from humanpred_ros.nodes.commander import OtherCommanders
 from humanpred_ros.nodes.commanding_node import CommandingNode
 from humanpred_ros.nodes.inputs import Input
+from humanpred_ros.nodes.obstacles import ObstacleInput
 from humanpred_ros.nodes.occupancy_topics import OccupancyInput, occupancy_of, says_nobody
 from humanpred_ros.nodes.operator_services import TASK_COSTS, OperatorServices, declare_task_costs, take_parameters
 from humanpred_ros.nodes.parameters import declare, plugin_parameters
@@ -81,6 +82,7 @@ class StompPlannerNode(CommandingNode):
         profile = qos.sensor_subscription(settings.lossless, newest_only=True)
         self.occupancies = OccupancyInput(self, self.on_occupancy, profile, max_age_s=age_s)
         self.people.clock, self.people.silence = self.occupancies.clock, self.occupancies.silence
+        self.obstacles = ObstacleInput(self, self.scene)
         self.operator = OperatorServices(self)
         self.answers = Input(topics.DECISION)
         self._busy = False  # with a step, which a stop must not wait for
@@ -123,11 +125,12 @@ class StompPlannerNode(CommandingNode):
         return "planning" if self.begun else super().working()
 
     def facts(self) -> dict[str, str]:
+        facts = {**self.operator.facts(), **self.obstacles.facts()}
         if not self.begun:
-            return self.operator.facts()
+            return facts
         answers = self.answers.facts(time.monotonic())
-        error_rad = f"{self.arm.following.error_rad:.4f}"
-        facts = {"following_error_rad": error_rad, "real_time": self.real_time, **self.operator.facts()}
+        facts["following_error_rad"] = f"{self.arm.following.error_rad:.4f}"
+        facts["real_time"] = self.real_time
         return {**facts, **{f"answers/{name}": text for name, text in answers.items()}}
 
     def deactivate(self) -> None:
@@ -304,6 +307,7 @@ class StompPlannerNode(CommandingNode):
         In real time STOMP stops iterating when time runs out, so that an overloaded machine gets a poorer plan
         rather than none. Stepped runs take the time they need, which makes them the same on every machine.
         """
+        self.obstacles.refresh()
         self.replanner.keep_rollouts = self.pictures.rollouts.get_subscription_count() > 0
         if self.settings.lossless:
             return self.replanner.respond(occupancy)

@@ -207,6 +207,13 @@ class State:
         if self._on_time(stamp_s):
             self.last_due_s = stamp_s
 
+    def change_goals(self, goals: Mapping[str, FloatArray]) -> None:
+        """Take other goals; a goal that is gone is not worked on any more."""
+        self.goals = goals
+        self.paths = {name: path for name, path in self.paths.items() if name in goals}
+        if self.chosen not in goals:
+            self.chosen, self.leads_to, self.urgent = None, None, True
+
     def stop(self, decision: Decision) -> None:
         """Note a hold, which needs no commitment."""
         if decision.trajectory is not None:

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -112,9 +113,9 @@ class MotionChecker:
         """Centre (3,) and radius of a ball that the spheres never leave, world frame, metres."""
         return reach_m(self.chain, self.spheres)
 
-    def against(self, field: SignedDistanceField, padding_m: float, what: str) -> MotionChecker:
-        """Return the same check against something else (the person, say), without self-collision; cheap."""
-        other = replace(self, field=field, padding_m=padding_m, what=what, self_clearance=None)
+    def against(self, field: SignedDistanceField, **changes: Any) -> MotionChecker:
+        """Return the same check against another field, with other attributes than `chain` and `spheres`; cheap."""
+        other = replace(self, field=field, **changes)
         other.__dict__["_arm"] = self._arm  # the same one
         return other
 

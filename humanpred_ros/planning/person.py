@@ -146,7 +146,7 @@ class Person:
         centre, radius = self._checker.reach
         cap_m = max(_CAP_SEPARATIONS * separation, _LEAST_CAP_M)
         field = distance_to_voxels(self.occupancy.grid, voxels, centre - radius, centre + radius, cap_m)
-        return self._checker.against(field, separation, "the person")
+        return self._checker.against(field, padding_m=separation, what="the person", self_clearance=None)
 
 
 def widened(occupancy: Occupancy, margin_m: float) -> Occupancy:

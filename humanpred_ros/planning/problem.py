@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Protocol
@@ -69,9 +69,10 @@ class Problem:
     Attributes:
         config: settings.
         arm, chain: the arm and its kinematics.
-        goals: configurations (K, D) of each goal that the arm can rest at, by name.
-        task_costs: of each goal.
+        goals: configurations (K, D) of each goal that the arm can rest at, by name; all of it where there is none.
+        given: the goals as they were given, with their costs.
         disabled: names of goals that are not planned for.
+        blocked: why the arm can rest at no configuration of a goal, by name.
         obstacles: cost of obstacles.
         checker: says what may be executed.
         weights: (D,) configuration distance of a one-radian change of each joint alone (docs/papers.md, 1.12).
@@ -86,25 +87,21 @@ class Problem:
         field: SignedDistanceField,
         config: ReplannerConfig,
         self_clearance: SelfClearance | None,
+        spared: Collection[str] = (),
     ) -> None:
         """Take arm, goals, signed distance to obstacles and settings; `self_clearance` as in `MotionChecker`.
 
         Raises:
             PlanningError: for no goals, two of one name, or configurations of another arm.
-            GoalUnreachableError: for a goal all of whose configurations are outside the joint limits or not free.
+            GoalUnreachableError: for a goal all of whose configurations are outside the joint limits or not free,
+                unless its name is among those `spared`.
             UsageError: for a cost term whose name is unknown.
             SettingsError: for a setting that a cost term does not have.
         """
-        names = [goal.name for goal in goals]
-        if not names or len(set(names)) != len(names):
-            raise PlanningError(f"replanner: wanted one or more goals of different names, got {names}")
-        self._given = arm, goals, field, self_clearance
         self.disabled: frozenset[str] = frozenset()
         self.config, self.arm, self.chain = config, arm, arm.chain
         spheres, n = arm.spheres(), arm.chain.n_joints
         self.checker = MotionChecker(arm.chain, spheres, field, config.padding_m - _SLACK_M, self_clearance)
-        self.goals = {goal.name: self._usable_configurations(goal) for goal in goals}
-        self.task_costs = {goal.name: goal.task_cost for goal in goals}
         self.weights = np.array([float(arm.configuration_distance(np.zeros(n), unit)) for unit in np.eye(n)])
         self.velocity_limit = config.velocity_scale * arm.chain.velocity_limit
         self.acceleration_limit = np.minimum(config.acceleration_limit, arm.chain.acceleration_limit)
@@ -112,30 +109,60 @@ class Problem:
         self._request = CostTermRequest(
             arm.chain, arm.body_points(), spheres, field, config.padding_m, config.stomp, Settings()
         )
-        self.obstacles = ObstacleCost.build(self._request)
-        self._terms = self._chosen_terms()
+        self._classes = self._chosen_classes()
+        self._surround(goals, field, spared)
 
-    def changed(self, config: ReplannerConfig, task_costs: Mapping[str, float], disabled: Iterable[str]) -> Problem:
+    def changed(
+        self,
+        config: ReplannerConfig,
+        task_costs: Mapping[str, float],
+        disabled: Iterable[str],
+        goals: Sequence[Goal] | None = None,
+        field: SignedDistanceField | None = None,
+    ) -> Problem:
         """Return the problem with other settings, with costs of some goals, and with these goals disabled.
 
-        The threads are the same.
+        The threads are the same. Goals that are there already and that another field blocks are `blocked`.
+
+        Args:
+            config, task_costs, disabled: as said.
+            goals: all goals there are to be; as before if absent.
+            field: signed distance to obstacles; as before if absent.
 
         Raises:
-            PlanningError: for a goal that there is none of.
+            PlanningError: for a goal that there is none of, and as when it is made.
             SceneError: for a cost that is not a number of at least 0.
-            GoalUnreachableError: a goal cannot be worked on with these settings.
+            GoalUnreachableError: a goal cannot be worked on with these settings, or one that is new or another now.
             SettingsError: for a setting that a cost term does not have.
         """
-        arm, goals, field, itself = self._given
-        disabled = frozenset(disabled)
-        unknown = (task_costs.keys() | disabled) - self.goals.keys()
+        known, disabled = {goal.name: goal for goal in self.given}, frozenset(disabled)
+        goals, moved = self.given if goals is None else goals, field is not None
+        unknown = (task_costs.keys() | disabled) - {goal.name for goal in goals}
         if unknown:
-            raise PlanningError(f"tasks: wanted some of {', '.join(self.goals)}, got {', '.join(sorted(unknown))}")
-        costs = {**self.task_costs, **task_costs}
-        goals = [replace(goal, task_cost=costs[goal.name]) for goal in goals]
-        other = copy.copy(self) if config == self.config else Problem(arm, goals, field, config, itself)
-        other.task_costs, other.disabled, other.pool = costs, disabled, self.pool
+            names = ", ".join(goal.name for goal in goals)
+            raise PlanningError(f"tasks: wanted some of {names}, got {', '.join(sorted(unknown))}")
+        goals = [replace(goal, task_cost=task_costs.get(goal.name, goal.task_cost)) for goal in goals]
+        old = {
+            goal.name
+            for goal in goals
+            if goal.name in known and np.array_equal(goal.configurations, known[goal.name].configurations)
+        }
+        spared = old if moved else old & self.blocked.keys()
+        field = self.checker.field if field is None else field
+        if config != self.config:
+            other = Problem(self.arm, goals, field, config, self.checker.self_clearance, spared)
+        else:
+            other = copy.copy(self)
+            if moved or len(old) != max(len(goals), len(known)):
+                other._surround(goals, field, spared)
+            other.given = tuple(goals)
+        other.disabled, other.pool = disabled, self.pool
         return other
+
+    @property
+    def task_costs(self) -> dict[str, float]:
+        """Of each goal, by name."""
+        return {goal.name: goal.task_cost for goal in self.given}
 
     def planner(self, occupancy: Occupancy) -> tuple[StompPlanner, HumanOccupancyCost]:
         """Return the planner for one predicted occupancy, and the cost of the person, which compares goals."""
@@ -219,24 +246,36 @@ class Problem:
         person.least_gap_m(trajectory, 0.0)
         person.rest_conflict(q)
 
-    def _usable_configurations(self, goal: Goal) -> FloatArray:
-        """Return the configurations (K, D) of a goal that the arm can rest at."""
-        usable, reasons = [], []
-        for q in checked(f"goal {goal.name}", goal.configurations, ("K", self.chain.n_joints), error=PlanningError):
-            trouble = self.outside_limits(q) or self.checker.first_trouble(q[None])
-            if trouble:
-                reasons.append(str(trouble))
-            else:
-                usable.append(q)
-        if not usable:
-            raise GoalUnreachableError(
-                f"goal {goal.name}: {'; '.join(dict.fromkeys(reasons))}; choose a configuration within the limits "
-                "and clear of obstacles"
+    def _surround(self, goals: Sequence[Goal], field: SignedDistanceField, spared: Collection[str]) -> None:
+        """Take goals and signed distance to obstacles; raises as when it is made."""
+        names = [goal.name for goal in goals]
+        if not names or len(set(names)) != len(names):
+            raise PlanningError(f"replanner: wanted one or more goals of different names, got {names}")
+        self.checker = self.checker.against(field)
+        self._request = replace(self._request, field=field)
+        self.given, self.goals, self.blocked = tuple(goals), dict[str, FloatArray](), dict[str, str]()
+        for goal in goals:
+            configurations = checked(
+                f"goal {goal.name}", goal.configurations, ("K", self.chain.n_joints), error=PlanningError
             )
-        return np.array(usable)
+            reasons = [str(self.outside_limits(q) or self.checker.first_trouble(q[None]) or "") for q in configurations]
+            usable = configurations[[not reason for reason in reasons]]
+            if not len(usable):
+                trouble = f"goal {goal.name}: {'; '.join(dict.fromkeys(reasons))}"
+                if goal.name not in spared:
+                    raise GoalUnreachableError(
+                        f"{trouble}; choose a configuration within the limits and clear of obstacles"
+                    )
+                self.blocked[goal.name] = trouble
+            self.goals[goal.name] = usable if len(usable) else configurations
+        self.obstacles = ObstacleCost.build(self._request)
+        self._terms: list[CostTerm | type[CostTerm]] = [
+            term if term.per_occupancy else self.obstacles if term is ObstacleCost else self._built(term, self._request)
+            for term in self._classes
+        ]
 
-    def _chosen_terms(self) -> list[CostTerm | type[CostTerm]]:
-        """Return the chosen cost terms; of those made anew for every occupancy, their class."""
+    def _chosen_classes(self) -> list[type[CostTerm]]:
+        """Return the classes of the chosen cost terms."""
         names = self.config.cost_terms
         classes = [plugins.load(plugins.COST_TERMS, name, CostTerm) for name in names]  # type: ignore[type-abstract]
         if set(classes) != COMPILED_TERMS:
@@ -249,10 +288,7 @@ class Problem:
             term: plugins.settings_of(name, term.settings_type, self.config.cost_term_settings)
             for name, term in zip(names, classes, strict=True)
         }
-        return [
-            term if term.per_occupancy else self.obstacles if term is ObstacleCost else self._built(term, self._request)
-            for term in classes
-        ]
+        return classes
 
     def _built(self, term: type[CostTerm], request: CostTermRequest) -> CostTerm:
         """Return a term of a class, made with the settings that were given for it."""

@@ -58,6 +58,7 @@ class Replanner:
         lock: held while the state changes, not while a step is planned.
         factor: speed at which the controller runs through what it is sent (`set_factor`).
         stopped: why that is 0; empty while it is not.
+        doubt: why not all obstacles are known, so that no occupancy is planned with; empty while they are.
         paused: why no occupancy is planned with, by somebody's wish; empty while they are.
     """
 
@@ -93,7 +94,7 @@ class Replanner:
         self._next: Problem | None = None
         self.keep_rollouts = False
         self.lock = threading.RLock()
-        self.factor, self.stopped, self.paused = 1.0, "", ""
+        self.factor, self.stopped, self.paused, self.doubt = 1.0, "", "", ""
         self.rollouts: dict[str, Float32Array] = {}
 
     @classmethod
@@ -108,9 +109,14 @@ class Replanner:
         return self.chain.joint_names
 
     @property
+    def goals(self) -> tuple[Goal, ...]:
+        """The goals from the next occupancy on, in the scene's order, later ones behind."""
+        return (self._next or self.problem).given
+
+    @property
     def goal_names(self) -> tuple[str, ...]:
-        """Names of the goals, in the scene's order."""
-        return tuple(self.problem.goals)
+        """Names of the goals."""
+        return tuple(goal.name for goal in self.goals)
 
     def start(self, q_start: ArrayLike, t_s: float) -> None:
         """Begin anew with the robot at rest at `q_start` (D,) from `t_s` on.
@@ -140,20 +146,24 @@ class Replanner:
         config: ReplannerConfig | None = None,
         task_costs: Mapping[str, float] | None = None,
         disabled: Iterable[str] | None = None,
+        goals: Sequence[Goal] | None = None,
+        field: SignedDistanceField | None = None,
     ) -> None:
-        """Let other settings, costs of goals, or disabled goals count from the next occupancy on, all or none.
+        """Let other settings, costs of goals, disabled goals, goals or obstacles count from the next occupancy on.
 
-        A disabled goal is not planned for, and left with the next step. A step that is being planned, and what is being
-        executed, keep the settings they were made with until then. Period and threads stay as they are.
+        All or none. A disabled goal is not planned for, and left with the next step; so is one that is gone, and one
+        that other obstacles block. A step that is being planned, and what is being executed, keep what they were made
+        with until then: what is not free of other obstacles is stopped or replaced by the next answer. Period and
+        threads stay as they are.
 
         Raises:
             HumanPredError: as `Problem.changed`.
         """
         with self.lock:
             base = self._next or self.problem
-            other = base.changed(
-                config or base.config, task_costs or {}, base.disabled if disabled is None else disabled
-            )
+            if disabled is None:
+                disabled = base.disabled if goals is None else base.disabled & {goal.name for goal in goals}
+            other = base.changed(config or base.config, task_costs or {}, disabled, goals, field)
             self._next = other
             if self._state is None:
                 self._take_changes()
@@ -190,15 +200,22 @@ class Replanner:
         state, stamp_s = self._check(occupancy), occupancy.t_s
         now_s = stamp_s if now is None else now()
         with self.lock:
-            self._take_changes()
+            worked_on, moved = state.chosen, self._take_changes()
             if self.blocked:
                 return replace(self.hold(now_s, self.blocked), stamp_s=stamp_s)
             stops, pace = state.stops, state.pace
+            seen_s, from_s, t_switch_s = pace.progress([stamp_s, now_s, stamp_s + self.config.period_s])
+            checker, ahead = self.problem.checker, state.schedule.motion_from
+            trouble = checker.first_trouble(ahead(from_s), from_s) if moved else None
+            if state.chosen != worked_on and not self.at_rest(now_s):
+                return replace(self.hold(now_s, f"task {worked_on} was removed"), stamp_s=stamp_s)
+            if trouble is not None and trouble.at < t_switch_s and not self.at_rest(now_s):
+                return replace(self.hold(now_s, f"an obstacle has come into its way: {trouble}"), stamp_s=stamp_s)
+            state.urgent = state.urgent or trouble is not None
         person = self.problem.person(occupancy)
         reason = self._too_close(state, person, now_s)
         if reason:
             return replace(self.hold(now_s, reason), stamp_s=stamp_s)
-        seen_s, t_switch_s = pace.progress([stamp_s, stamp_s + self.config.period_s])
         if not (state.due(stamp_s) or person.calls_for_replanning(state.schedule, seen_s, t_switch_s)):
             return self.keep(occupancy)
         decision = self._planned(state, person, deadline)  # lines 4 to 6
@@ -342,7 +359,8 @@ class Replanner:
     def blocked(self) -> str:
         """Why no occupancy is planned with, whatever is in it; empty while they are."""
         none = f"no task is enabled: {', '.join(self.goal_names)} could be"
-        return self.stopped or self.lost or self.paused or (none if self.disabled.issuperset(self.goal_names) else "")
+        why = self.stopped or self.lost or self.paused or self.doubt
+        return why or (none if self.disabled.issuperset(self.goal_names) else "")
 
     @property
     def held(self) -> str:
@@ -404,6 +422,10 @@ class Replanner:
         positions: FloatArray = self.chain.tool_pose(path)[..., :3, 3]
         return positions
 
+    def tool_places(self) -> dict[str, FloatArray]:
+        """Return where each goal wants the tool, (3,) world frame, by name."""
+        return {goal.name: self.tool_path(goal.configuration[None])[0] for goal in self.goals}
+
     def warm_up(self) -> None:
         """Compile everything a step needs, so that the first one is no slower than the others."""
         self.problem.warm_up()
@@ -442,18 +464,20 @@ class Replanner:
     def _unwrapped(self, q: FloatArray) -> dict[str, FloatArray]:
         return {name: q + self.arm.difference(q, goal) for name, goal in self.problem.goals.items()}
 
-    def _take_changes(self) -> None:
-        """Let what was changed count from now on."""
+    def _take_changes(self) -> bool:
+        """Let what was changed count from now on; return whether there are other obstacles than before."""
         if self._next is None:
-            return
-        before, state = self.problem, self._state
-        self.problem, self.config, self._next = self._next, self._next.config, None
+            return False
+        before, now, state = self.problem, self._next, self._state
+        self.problem, self.config, self._next = now, now.config, None
         if state is None:
-            return
+            return False
         # What is being executed has another speed than is wanted now.
-        state.retime = state.retime or not np.array_equal(before.velocity_limit, self.problem.velocity_limit)
-        if any(not np.array_equal(q, self.problem.goals[name]) for name, q in before.goals.items()):
-            state.goals = self._unwrapped(state.schedule.motion_from(state.schedule.last_from_s).q[-1])
+        state.retime = state.retime or not np.array_equal(before.velocity_limit, now.velocity_limit)
+        same = before.goals.keys() == now.goals.keys()
+        if not (same and all(np.array_equal(q, now.goals[name]) for name, q in before.goals.items())):
+            state.change_goals(self._unwrapped(state.schedule.motion_from(state.schedule.last_from_s).q[-1]))
+        return before.checker.field is not now.checker.field
 
     def _progress(self, t_s: float) -> float:
         """Return the controller's time at `t_s`."""

@@ -81,8 +81,8 @@ class Step:
         return self.state.leads_to is None and not self.state.held and self.executing.end_s > self.t_switch_s
 
     def disabled(self, name: str | None) -> str:
-        """Return that a goal is disabled; empty if it is not."""
-        return "disabled" if name in self.problem.disabled else ""
+        """Return that a goal is disabled, or which obstacles block it; empty if it can be worked on."""
+        return "disabled" if name in self.problem.disabled else self.problem.blocked.get(name or "", "")
 
     def timed(self, path: FloatArray) -> TimedTrajectory:
         """Return a trajectory along a path (N, D) that takes over at the switch."""

@@ -212,7 +212,7 @@ def test_the_scene_of_the_paper() -> None:
     assert trouble is not None
     assert trouble.at == pytest.approx(t[np.argmax(clearance < 0.0)], abs=0.005)
     assert nearest.clearance_m == pytest.approx(clearance.min(), abs=0.001)
-    other = checker.against(field, -0.1, "person")
+    other = checker.against(field, padding_m=-0.1, what="person", self_clearance=None)
     assert other.first_trouble(trajectory) is None
     assert other.what == "person"
 
