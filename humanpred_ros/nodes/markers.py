@@ -79,8 +79,8 @@ def future_markers(futures: Sequence[tuple[float, FloatArray]], stamp: Time) -> 
     array, most = _only_these(), max((p for p, _ in futures), default=1.0)
     for k, (p, way_m) in enumerate(futures):
         colour = ColorRGBA(r=0.55, g=0.15, b=0.05, a=0.2 + 0.8 * float(p / most))
-        marker = _marker(Marker.LINE_STRIP, "futures", "world", stamp, 0.006, colour)
-        marker.id, marker.points = k, _points(way_m)
+        marker = marker_of(Marker.LINE_STRIP, "futures", "world", stamp, 0.006, colour)
+        marker.id, marker.points = k, points_of(way_m)
         array.markers.append(marker)
     return array
 
