@@ -11,6 +11,7 @@ from sensor_msgs.msg import JointState
 
 from humanpred_ros import topics
 from humanpred_ros.errors import ArrayError, PlanningError
+from humanpred_ros.geometry.solids import Obstacle
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode
 from humanpred_ros.nodes.commander import commander
@@ -22,6 +23,9 @@ from humanpred_ros.nodes.planner_settings import StompPlannerSettings
 from humanpred_ros.planning.decision import HOLD, KEEP, Decision
 from humanpred_ros.planning.following import FollowingSettings
 from humanpred_ros.planning.replanner import Replanner
+from humanpred_ros.robot.goals import Goal
+from humanpred_ros.robot.scene import Scene, tasks_of
+from humanpred_ros.robot.scene_file import GoalSection, read_scene_file
 
 #: After an arm did not follow, so long passes before it is commanded again, s.
 _RETRY_S = 1.0
@@ -35,7 +39,8 @@ class CommandingNode(GraphNode):
     """A node with a replanner and an arm, which is held when it does not follow, is silent, or a guard stops it.
 
     Attributes:
-        settings, replanner: made when it is configured.
+        settings, replanner, scene: made when it is configured.
+        tasks: all there are, by what YAML says of each.
         arm: as it was measured.
         begun: whether the arm is commanded, since `origin_ns`.
         holding: the hold is for data that are bad, or do not come.
@@ -47,6 +52,8 @@ class CommandingNode(GraphNode):
 
     settings: StompPlannerSettings
     replanner: Replanner
+    scene: Scene
+    tasks: dict[GoalSection, Goal]
 
     def activate(self) -> None:
         settings, replanner = self.settings, self.replanner
@@ -169,6 +176,16 @@ class CommandingNode(GraphNode):
                 self.publish(stop, self.last_ns, received_s)
             elif self.begun:
                 self.publish(self._hold(reason), self.last_ns, received_s)
+
+    def tasks_of(self, text: str) -> dict[GoalSection, Goal]:
+        """Return the tasks of a YAML text, or the scene's for none, by what is said of each; raises as `tasks_of`."""
+        entries = read_scene_file(self.settings.scene).goals
+        own = dict(zip(entries, self.scene.goals, strict=True))
+        return tasks_of(text, self.scene, self.live_solids(), {**own, **self.tasks}) if text.strip() else own
+
+    def live_solids(self) -> tuple[Obstacle, ...]:
+        """Return what stands there beside the scene's obstacles."""
+        return ()
 
     def use(self, settings: StompPlannerSettings) -> None:
         """Go by other settings, where they may change at run time."""

@@ -137,7 +137,7 @@ class ObstacleInput:
             self._listen(MarkerArray, topics.OBSTACLES, self._on_markers, profile)
         for profile in (qos.LATCHED, qos.NEWEST_ONLY):
             self._listen(PointCloud2, topics.OBSTACLE_CLOUD, self._on_cloud, profile)
-        self._show()
+        self.show()
 
     def facts(self) -> dict[str, str]:
         """Return what there is, for /diagnostics."""
@@ -153,7 +153,7 @@ class ObstacleInput:
             self._judge()
         if self.live.changed:
             self._replanner.change(field=self.live.field())
-            self._show()
+            self.show()
 
     def _listen(self, kind: type[Any], topic: str, callback: Callable[[Any], None], profile: Any) -> None:
         name = self._node.resolve_topic_name(topic)
@@ -241,7 +241,7 @@ class ObstacleInput:
             return self._known[frame]
         raise LookupError(f"wrong frame: wanted one of {', '.join(self._known)}, got {frame!r:.80}; {trouble}")
 
-    def _show(self) -> None:
+    def show(self) -> None:
         """Publish pictures of the scene and of what is live."""
         self._pictures.publish(scene_markers(self._scene.obstacles, self.live, self._replanner.tool_places()))
 

@@ -51,9 +51,11 @@ def take_parameters(node: CommandingNode, parameters: list[Parameter]) -> SetPar
     try:
         settings = node.settings.replaced(**changes)
         config = settings.replanner_config(plugin_parameters(node, settings.cost_terms))
-        node.replanner.change(config, costs)
+        tasks = node.tasks if settings.tasks == node.settings.tasks else node.tasks_of(settings.tasks)
+        node.replanner.change(config, costs, goals=None if tasks is node.tasks else tuple(tasks.values()))
     except HumanPredError as error:
         return SetParametersResult(successful=False, reason=one_line(str(error)))
+    node.tasks = tasks
     node.use(settings)
     return SetParametersResult(successful=True)
 
@@ -68,11 +70,18 @@ class OperatorServices:
         self._node, self._replanner = node, node.replanner
         for name, handler in (("pause", self._pause), ("resume", self._resume), ("plan_now", self._plan_now)):
             node.create_service(Trigger, f"{topics.PLANNER}/{name}", handler)
-        taken: set[str] = set()
+        self._tasks: dict[str, tuple[str, Any]] = {}
+        self.follow_tasks()
+
+    def follow_tasks(self) -> None:
+        """Let there be a service for every task there is now."""
+        for task in self._tasks.keys() - set(self._replanner.goal_names):
+            self._node.destroy_service(self._tasks.pop(task)[1])
         for task in self._replanner.goal_names:
-            token = service_token(task, taken)
-            taken.add(token)
-            node.create_service(SetBool, f"{topics.PLANNER}/tasks/{token}/enable", partial(self._enable, task))
+            if task not in self._tasks:
+                token = service_token(task, {token for token, _ in self._tasks.values()})
+                name, answer = f"{topics.PLANNER}/tasks/{token}/enable", partial(self._enable, task)
+                self._tasks[task] = token, self._node.create_service(SetBool, name, answer)
 
     def facts(self) -> dict[str, str]:
         """Return what was asked for, for /diagnostics."""

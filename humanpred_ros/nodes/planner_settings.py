@@ -22,6 +22,9 @@ class StompPlannerSettings(PrioritySettings, NodeSettings):
         "scene name in config/scenes, or a YAML file",
         restart="robot, obstacles and clearances are computed from it",
     )
+    tasks: str = setting(
+        "", "all tasks there are to be, in YAML as under goals in a scene file; none: the scene's", changeable=True
+    )
     period_s: float = setting_of(ReplannerConfig, "period_s")
     seed: int = setting_of(ReplannerConfig, "seed")
     threads: int = setting_of(ReplannerConfig, "threads")

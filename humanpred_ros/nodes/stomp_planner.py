@@ -19,6 +19,7 @@ from humanpred_ros import topics
 from humanpred_ros.errors import ArrayError, PlanningError
 from humanpred_ros.geometry import compiled
 from humanpred_ros.geometry.lattice import Occupancy
+from humanpred_ros.geometry.solids import Obstacle
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import entry_point
 from humanpred_ros.nodes.commander import OtherCommanders
@@ -71,6 +72,10 @@ class StompPlannerNode(CommandingNode):
             config = settings.replanner_config(plugin_parameters(self, settings.cost_terms))
             self.replanner = Replanner.for_scene(self.scene, config)
             self.replanner.warm_up()
+        self.tasks = {}
+        self.tasks = self.tasks_of(settings.tasks)
+        if settings.tasks:
+            self.replanner.change(goals=tuple(self.tasks.values()))
         self.replanner.change(task_costs=declare_task_costs(self))
 
     def activate(self) -> None:
@@ -102,9 +107,14 @@ class StompPlannerNode(CommandingNode):
     def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         return take_parameters(self, parameters)
 
+    def live_solids(self) -> tuple[Obstacle, ...]:
+        return self.obstacles.live.solids if self.connected else ()
+
     def use(self, settings: StompPlannerSettings) -> None:
         super().use(settings)
         if self.connected:
+            self.operator.follow_tasks()
+            self.obstacles.show()
             self.people.settings = settings
             if not settings.lossless:
                 self.inputs[self.resolve_topic_name(topics.JOINT_STATES)].max_age_s = settings.max_arm_age_s

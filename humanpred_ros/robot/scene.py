@@ -5,7 +5,7 @@ A scene that loads can be planned in: every configuration lies within the joint 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from humanpred_ros.errors import ArrayError, GoalUnreachableError, SceneError
+from humanpred_ros.files import yaml_of
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.geometry.distance_field import DEFAULT_RESOLUTION_M, SignedDistanceField, build_distance_field
 from humanpred_ros.geometry.lattice import VoxelGrid
@@ -22,7 +23,16 @@ from humanpred_ros.robot.arm import Arm
 from humanpred_ros.robot.clearance import nearest_contacts, shoulder_approach
 from humanpred_ros.robot.goals import Goal, tool_goal
 from humanpred_ros.robot.robot import load_robot
-from humanpred_ros.robot.scene_file import LARGEST_M, GoalSection, RobotSection, SceneFile, read_scene_file, start_of
+from humanpred_ros.robot.scene_file import (
+    LARGEST_M,
+    GoalSection,
+    RobotSection,
+    SceneFile,
+    TaskList,
+    read_scene_file,
+    start_of,
+)
+from humanpred_ros.robot.sections import section_of
 from humanpred_ros.robot.surface import covering_boxes
 
 #: Distances beyond this need not be told apart: links are skipped, and movements proven free, well below it, m.
@@ -188,6 +198,33 @@ def scene_of(file: SceneFile) -> Scene:
         places=tuple(Place(entry.label, np.array(entry.place_m)) for entry in file.places),
         human_frame=file.human.frame or "",
     )
+
+
+def tasks_of(
+    text: str, scene: Scene, obstacles: Sequence[Obstacle], known: Mapping[GoalSection, Goal]
+) -> dict[GoalSection, Goal]:
+    """Return the tasks of a YAML text, by what it says of each: a list as under `goals` in a scene file.
+
+    Args:
+        text: of all tasks there are to be.
+        scene: whose tasks they take the place of.
+        obstacles: what the arm must not touch beside the scene's own.
+        known: tasks that are there; one that is the same stays what it is, even where an obstacle blocks it now.
+
+    Raises:
+        SceneError: for what no scene file may hold, or no task.
+        GoalUnreachableError: for a task that the arm cannot reach; whoever plans checks configurations for collision.
+    """
+    try:
+        file = section_of({"goals": yaml_of(text)}, TaskList, "tasks", SceneError)
+    except ValueError as trouble:
+        raise SceneError(f"tasks: wanted YAML, got something else: {trouble}") from trouble
+    around = (*scene.obstacles, *obstacles)
+    try:
+        goals = [known.get(entry) or _goal(entry, scene.arm, scene.start, around) for entry in file.goals]
+        return dict(zip(file.goals, replace(scene, goals=tuple(goals)).goals, strict=True))
+    except ArrayError as trouble:
+        raise SceneError(f"tasks: {trouble}") from trouble
 
 
 def fitted_grid(arm: Arm) -> VoxelGrid:

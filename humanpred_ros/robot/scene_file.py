@@ -206,6 +206,12 @@ class PlaceSection(Section):
     place_m: Place = Field(description="Where the palm ends, world frame (m)")
 
 
+class TaskList(Section):
+    """The tasks of a scene, told while the arm works."""
+
+    goals: tuple[GoalSection, ...] = Field(max_length=100)
+
+
 class SceneFile(Section):
     """A workplace: robot, tasks, obstacles, where the person is tracked; metres, world frame, z up."""
 

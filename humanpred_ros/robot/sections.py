@@ -74,8 +74,13 @@ def read_section(path: Path, kind: type[S], what: str, error: type[HumanPredErro
         what: what messages call the file.
         error: raised if it cannot be read, or for unknown, missing or impossible values, with their place in the file.
     """
+    return section_of(read_yaml(path, error), kind, what, error)
+
+
+def section_of(content: Any, kind: type[S], what: str, error: type[HumanPredError]) -> S:
+    """Return the content of a mapping that was read from YAML; the rest as in `read_section`."""
     try:
-        return kind.model_validate(read_yaml(path, error))
+        return kind.model_validate(content)
     except ValidationError as trouble:
         raise error(f"{what}{_reason(trouble)}") from None
 

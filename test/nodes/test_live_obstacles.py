@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -15,6 +16,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
+from std_srvs.srv import SetBool
 from visualization_msgs.msg import Marker, MarkerArray
 
 from humanpred_ros import topics
@@ -175,3 +177,48 @@ def test_what_cannot_be_believed_holds_the_arm_until_it_can(client: Client, wron
     else:
         client.points.publish(cloud(NOWHERE))
     client.until(red_is_free)
+
+
+TASKS: dict[str, tuple[str, str]] = {
+    "unreachable": (
+        "{name: far, tool_pose: {position_m: [0, -4, 1], orientation_deg: [0, 0, 0], %s}}",
+        "goal 'far'.*no",
+    ),
+    "in the table": (
+        "{name: low, configuration_rad: [-0.226, 0.5, -1.521, -0.4, -0.280, -0.486, 0.0]}",
+        "goal low: .* m from",
+    ),
+    "outside limits": ("{name: odd, configuration_deg: [90, 0, 0, -10, 0, 0, 0]}", "goal 'odd'.*r_shoulder_pan_joint"),
+    "of another robot": ("{name: odd, configuration_deg: [90, 0, 0]}", "goal 'odd'"),
+    "no task": ("{name: odd}", r"tasks: goals\[1\]: wanted either configuration_rad"),
+    "one of a name twice": ("{name: red, configuration_rad: [-0.7, 0.33, -1.6, -1.0, -0.35, -0.75, 0.0]}", "red twice"),
+    "no YAML": ("{", "tasks: wanted YAML"),
+}
+BLUE, RED_TASK = (
+    f"{{name: {goal.name}, configuration_rad: {goal.configuration.tolist()}}}"
+    for goal in (SCENE.goal("blue"), SCENE.goal("red"))
+)
+
+
+@pytest.mark.parametrize("wrong", TASKS)
+def test_tasks_that_cannot_be_done_are_refused_with_the_reason(client: Client, wrong: str) -> None:
+    text, words = TASKS[wrong]
+    tolerance = "position_tolerance_m: 0.01, orientation_tolerance_deg: 5"
+    done, reason = client.set_parameter("tasks", f"[{RED_TASK}, {text % tolerance if '%' in text else text}]")
+    assert not done
+    assert re.search(words, reason), reason
+    assert "\n" not in reason
+
+
+def test_tasks_are_added_changed_and_removed(client: Client) -> None:
+    q = 0.3 * SCENE.start + 0.7 * SCENE.goal("blue").configuration
+    place = f"{{name: place 3, task_cost: 0.001, configuration_rad: {q.tolist()}}}"
+    assert client.set_parameter("tasks", f"[{place}, {BLUE}]") == (True, "")
+    answer = client.until(lambda answer: "place 3" in answer.goals)
+    assert set(answer.goals) == {"place 3", "blue"}
+    done = client.call(SetBool, "stomp_planner/tasks/place_3/enable", SetBool.Request(data=False))
+    assert done.success
+    answer = client.until(lambda answer: "place 3" in answer.goals)
+    assert answer.goals["place 3"]["set_aside"] == "disabled"
+    assert client.set_parameter("tasks", "") == (True, "")
+    assert set(client.until(lambda answer: len(answer.goals) == 2).goals) == {"red", "blue"}
