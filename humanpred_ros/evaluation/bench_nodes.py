@@ -60,20 +60,7 @@ def write_scene(path: Path, n_goals: int) -> Path:
         {"name": f"goal {k + 1}", "configuration_rad": [float(angle) for angle in q]}
         for k, q in enumerate(spread_goals(load_scene(SCENE), n_goals))
     ]
-    return _write_changed(path, name=f"{SCENE}_{n_goals}_goals", goals=goals)
-
-
-def write_scene_of(path: Path, goals: Sequence[str]) -> Path:
-    """Write the scene with some of its goals only, by their names.
-
-    Raises:
-        UsageError: a name that it does not have.
-    """
-    content = yaml.safe_load(share_file("config", "scenes", f"{SCENE}.yaml").read_text(encoding="utf-8"))
-    named = {goal["name"]: goal for goal in content["goals"]}
-    if not set(goals) <= set(named):
-        raise UsageError(f"scene {SCENE}: wanted some of the goals {', '.join(named)}, got {', '.join(goals)}")
-    return _write_changed(path, name=f"{SCENE}_{len(goals)}_places", goals=[named[name] for name in goals])
+    return write_changed_scene(path, name=f"{SCENE}_{n_goals}_goals", goals=goals)
 
 
 def write_scene_for(path: Path, library: MotionLibrary) -> Path:
@@ -86,10 +73,11 @@ def write_scene_for(path: Path, library: MotionLibrary) -> Path:
     columns = list(pelvis_columns(library.dof_names)[:3])
     pelvis = np.median([motion.q[0, columns] for motion in library], axis=0)
     offset = np.array(_STAND_M) - pelvis
-    return _write_changed(path, name=f"{SCENE}_other_person", human={"offset_m": offset.tolist(), "yaw_deg": 0.0})
+    return write_changed_scene(path, name=f"{SCENE}_other_person", human={"offset_m": offset.tolist(), "yaw_deg": 0.0})
 
 
-def _write_changed(path: Path, **changes: object) -> Path:
+def write_changed_scene(path: Path, **changes: object) -> Path:
+    """Write the scene with some of its entries replaced; raises HumanPredError for what cannot be used."""
     content = yaml.safe_load(share_file("config", "scenes", f"{SCENE}.yaml").read_text(encoding="utf-8"))
     content.update(changes)
     path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")

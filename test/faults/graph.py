@@ -37,7 +37,8 @@ from faults.wire import Wire
 from humanpred_ros import topics
 from humanpred_ros.bags.salvage import scan_records
 from humanpred_ros.errors import UsageError
-from humanpred_ros.evaluation.bench_nodes import RATE_HZ, write_scene_of
+from humanpred_ros.evaluation.bench_nodes import RATE_HZ, write_changed_scene
+from humanpred_ros.evaluation.planner_bench_world import SCENE
 from humanpred_ros.evaluation.processes import NodeGroup, NodeProcess, ParameterValue, free_domain_id
 from humanpred_ros.human.model import human_with
 from humanpred_ros.motion.bag_library import write_library_bag
@@ -47,6 +48,7 @@ from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR
 from humanpred_ros.recognition.training import model_of
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import load_scene
+from humanpred_ros.robot.scene_file import read_scene_file
 
 _LIBRARY = "synthetic_reaches"
 #: Classes of the reaches, and the arm's goals where they end.
@@ -80,7 +82,9 @@ class Inputs:
         self.folder = folder
         library = load_library(locate(_LIBRARY, "bags"))
         human = human_with(library.dof_names)
-        self.scene = write_scene_of(folder / "scene.yaml", _GOALS)
+        places = read_scene_file(SCENE).goals
+        goals = [goal.model_dump(mode="json", exclude_none=True) for goal in places if goal.name in _GOALS]
+        self.scene = write_changed_scene(folder / "scene.yaml", name="two_places", goals=goals)
         self.model = model_of(library, human, {DEFAULT_CLASSIFIER: None})
         palm_y = {
             m.name: [human.forward(q)["right_palm"][1] for q in m.q] for k in _CLASSES for m in library.of_class(k)
