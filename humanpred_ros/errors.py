@@ -73,9 +73,5 @@ class PlanningError(HumanPredError):
     """A planning request that has no meaning (no goals, wrong shapes, impossible deadline)."""
 
 
-class StaleHumanError(HumanPredError):
-    """Human data too old, missing or invalid to plan on."""
-
-
 class SettingsError(HumanPredError):
     """A setting is unknown, of the wrong type, out of its range, or does not go with another."""

@@ -71,14 +71,6 @@ class NodeProcess:
             return None
         return Usage(cpu_s, peak_kb / 1024.0)
 
-    def resident_mb(self) -> float | None:
-        """Return the memory held now, MB; None if the process has ended or the system does not tell."""
-        try:
-            pages = int(Path(f"/proc/{self.process.pid}/statm").read_text(encoding="ascii").split()[1])
-        except (OSError, ValueError, IndexError):
-            return None
-        return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
-
     def tail(self) -> str:
         """Return the end of the log, for error messages."""
         lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()

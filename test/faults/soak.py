@@ -7,6 +7,7 @@ and steps without time are no fault of the graph: they are told, and not counted
 
 from __future__ import annotations
 
+import os
 import random
 import tempfile
 import time
@@ -174,11 +175,20 @@ def _watch(graph: FaultGraph, seen: Seen, for_s: float) -> None:
     until_s = since_s + for_s
     while (now_s := time.monotonic()) < until_s:
         for process in graph.processes():
-            memory_mb = process.resident_mb()
+            memory_mb = _resident_mb(process.process.pid)
             if memory_mb is not None:
                 seen.memory_mb.setdefault((process.name, process.process.pid), []).append((now_s, memory_mb))
         graph.wire.wait(lambda: False, _SAMPLE_PERIOD_S)
     seen.take([entry for entry in list(heard.decisions) if since_s <= entry.t_s <= until_s])
+
+
+def _resident_mb(pid: int) -> float | None:
+    """Return the memory a process holds now, MB; None if it has ended or the system does not tell."""
+    try:
+        pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
+    except (OSError, ValueError, IndexError):
+        return None
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def memory_of(seen: Seen, settled_s: float) -> Iterator[Memory]:
