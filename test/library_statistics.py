@@ -17,6 +17,7 @@ from humanpred_ros.errors import LibraryFormatError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.cleaning import clean_library
+from humanpred_ros.motion.labels import label_order
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import MotionLibrary, resample_phase, unwrap_angles
 
@@ -71,8 +72,8 @@ class LibraryStatistics:
         motions = [unwrap_angles(motion) for motion in library]
         q = np.stack([resample_phase(motion, _N_PHASES).q for motion in motions])
         palm = human.forward(q.reshape(-1, q.shape[-1]))["right_palm"].reshape(len(q), _N_PHASES, 3)
-        labels = np.array([motion.label for motion in motions], dtype=np.int64)
-        classes = [labels == label for label in library.labels]
+        labels = np.array([library.labels.index(motion.label) for motion in motions if motion.label is not None])
+        classes = [labels == k for k in range(len(library.labels))]
         self.name = library.name
         self.n_motions, self.n_frames = len(library), sum(len(motion) for motion in library)
         self.labels = library.labels
@@ -171,7 +172,10 @@ def comparison_markdown(a: MotionLibrary, b: MotionLibrary) -> str:
         "may number their classes differently.",
         _table(
             ["class", *names],
-            [[label, *(_goal(s, label) for s in both)] for label in sorted({*both[0].labels, *both[1].labels})],
+            [
+                [label, *(_goal(s, label) for s in both)]
+                for label in sorted({*both[0].labels, *both[1].labels}, key=label_order)
+            ],
         ),
         "Degrees of freedom, m and rad: range within a motion (median); standard deviation of the first posture.",
         _table(
@@ -189,7 +193,7 @@ def _numbers(values: Iterable[float], between: str, digits: int = 2) -> str:
     return between.join(f"{value:.{digits}f}" for value in values)
 
 
-def _goal(statistics: LibraryStatistics, label: int) -> str:
+def _goal(statistics: LibraryStatistics, label: str) -> str:
     if label not in statistics.labels:
         return "none"
     return _numbers(statistics.goal_m[statistics.labels.index(label)], ", ")

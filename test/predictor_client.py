@@ -90,13 +90,13 @@ class PredictorClient(NodeClient):
         done, reason = self.set_parameter("places", goal_texts(places))
         assert done, reason
 
-    def probability(self, label: int) -> NDArray[np.float64]:
+    def probability(self, label: str) -> NDArray[np.float64]:
         """Return the probability of a place after each posture; NaN where it was not among the places."""
         return np.array([self.posteriors[stamp][0].get(label, np.nan) for stamp in sorted(self.posteriors)])
 
     def _on_goals(self, message: PointCloud2) -> None:
         fields = point_cloud2_fields(message)
-        labels = np.rint(fields["class_id"]).astype(int).tolist()
+        labels = [label.decode() for label in fields["label"].tolist()]
         places = np.stack([fields[axis].astype(np.float64) for axis in "xyz"], axis=1)
         stamp_ns = conversions.stamp_ns(message.header.stamp)
         self.posteriors[stamp_ns] = (dict(zip(labels, fields["probability"].tolist(), strict=True)), places)

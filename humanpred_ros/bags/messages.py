@@ -29,6 +29,7 @@ CLOCK = "rosgraph_msgs/msg/Clock"
 #: PointField datatype codes of sensor_msgs and the NumPy types they stand for.
 _POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _POINT_CODES = {np.dtype(name): code for code, name in _POINT_TYPES.items()}
+_BYTES = 2  #: of these a text in UTF-8 is made, with zeros at its end
 
 
 @dataclass(frozen=True)
@@ -142,7 +143,8 @@ def point_cloud2(time_ns: int, frame_id: str, fields: Mapping[str, ArrayLike]) -
     Args:
         time_ns: stamp.
         frame_id: frame of x, y and z.
-        fields: name to (N,) array; float64, float32 and integers up to 32 bits keep their type.
+        fields: name to (N,) array; float64, float32 and integers up to 32 bits keep their type; bytes (`S<n>`) become
+            n numbers each.
 
     Raises:
         UsageError: no fields, different lengths, or a type PointCloud2 has no code for.
@@ -151,7 +153,9 @@ def point_cloud2(time_ns: int, frame_id: str, fields: Mapping[str, ArrayLike]) -
     shapes = {column.shape for column in columns.values()}
     if len(shapes) != 1 or len(next(iter(shapes))) != 1:
         raise UsageError(f"point cloud: wanted fields of one length, got shapes {sorted(shapes)}")
-    unknown = [name for name, column in columns.items() if column.dtype not in _POINT_CODES]
+    unknown = [
+        name for name, column in columns.items() if column.dtype not in _POINT_CODES and column.dtype.kind != "S"
+    ]
     if unknown:
         raise UsageError(
             f"point cloud: field {unknown[0]!r} has type {columns[unknown[0]].dtype}; "
@@ -169,7 +173,12 @@ def point_cloud2(time_ns: int, frame_id: str, fields: Mapping[str, ArrayLike]) -
         height=1,
         width=count,
         fields=[
-            field(name=name, offset=int(offset), datatype=_POINT_CODES[column.dtype], count=1)
+            field(
+                name=name,
+                offset=int(offset),
+                datatype=_POINT_CODES.get(column.dtype, _BYTES),
+                count=column.dtype.itemsize if column.dtype.kind == "S" else 1,
+            )
             for offset, (name, column) in zip(offsets, columns.items(), strict=False)
         ],
         is_bigendian=False,
@@ -177,12 +186,12 @@ def point_cloud2(time_ns: int, frame_id: str, fields: Mapping[str, ArrayLike]) -
         row_step=layout.itemsize * count,
         data=table.view(np.uint8).reshape(-1),
         # Lost points are NaN, which is what "not dense" announces.
-        is_dense=all(bool(np.isfinite(column).all()) for column in columns.values()),
+        is_dense=all(column.dtype.kind == "S" or bool(np.isfinite(column).all()) for column in columns.values()),
     )
 
 
 def point_cloud2_fields(message: Any, names: Iterable[str] | None = None) -> dict[str, NDArray[Any]]:
-    """Return the columns of a PointCloud2 by name, (N,) each, in the type they were sent in.
+    """Return the columns of a PointCloud2 by name, (N,) each, in the type they were sent in; several bytes are a text.
 
     Raises:
         BagError: a named field is missing, or the layout does not fit the data.
@@ -197,7 +206,7 @@ def point_cloud2_fields(message: Any, names: Iterable[str] | None = None) -> dic
         layout = np.dtype(
             {
                 "names": wanted,
-                "formats": [order + _POINT_TYPES[offered[name].datatype] for name in wanted],
+                "formats": [_format_of(offered[name], order) for name in wanted],
                 "offsets": [offered[name].offset for name in wanted],
                 "itemsize": message.point_step,
             }
@@ -213,6 +222,11 @@ def point_cloud2_fields(message: Any, names: Iterable[str] | None = None) -> dic
             f"point cloud: its layout does not fit its data ({trouble}); the message is damaged"
         ) from trouble
     return {name: table[name].astype(table[name].dtype.newbyteorder("=")) for name in wanted}
+
+
+def _format_of(field: Any, order: str) -> str:
+    text = field.datatype == _BYTES and field.count > 1
+    return f"S{field.count}" if text else order + _POINT_TYPES[field.datatype]
 
 
 def _floats(values: ArrayLike) -> NDArray[np.float64]:

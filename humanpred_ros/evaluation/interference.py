@@ -154,7 +154,7 @@ def _table1(
     library: MotionLibrary, settings: InterferenceSettings, pairs: Pairs, published: Mapping[int, dict[str, float]]
 ) -> list[dict[str, Any]]:
     # The papers' global id: the running number over the sorted classes.
-    ordered = sorted(library, key=lambda motion: (-1 if motion.label is None else motion.label, motion.index))
+    ordered = library.by_class
     numbers = {motion.name: number for number, motion in enumerate(ordered)}
     rows = []
     for motion, seeds in _table_seeds(library, settings).items():

@@ -248,7 +248,7 @@ class LeaveOneOut:
         return GmmClassifier(self.human, self.gmm.replaced(phase_feature=True)).fit(self.library)
 
     @cached_property
-    def _swept_by_all(self) -> dict[int, NDArray[np.bool_]]:
+    def _swept_by_all(self) -> dict[str, NDArray[np.bool_]]:
         motions = zip(self.library.labels, self._gmm.expected_q, strict=True)
         return {label: swept_volume(self._voxeliser, q) for label, q in motions}
 

@@ -211,7 +211,7 @@ def until_end(motion: Motion, human: HumanModel, until: str) -> tuple[FloatArray
     return motion.q[:n], motion.t_s[:n]
 
 
-def _forget_place(predictor: Predictor, label: int | None) -> bool:
+def _forget_place(predictor: Predictor, label: str | None) -> bool:
     """Take one place away from a predictor that is given places; return whether it had that one and others."""
     if not isinstance(predictor, ReachingPredictor):
         return False
@@ -296,7 +296,7 @@ def _unseen_beside_seen(results: Sequence[dict[str, Any]]) -> float | None:
 
 def tested_motions(library: MotionLibrary, every: int) -> tuple[str, ...]:
     """Return the names of the motions that are tested: each of `every`, by class and index."""
-    ordered = sorted(library, key=lambda motion: (-1 if motion.label is None else motion.label, motion.index))
+    ordered = library.by_class
     return tuple(motion.name for motion in ordered[::every])
 
 

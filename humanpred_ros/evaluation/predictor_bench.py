@@ -161,8 +161,7 @@ def _with_classes(people: People, begin: Begin) -> Iterator[dict[str, Any]]:
     """Two classes, four, and so on to twice as many as there are; the new ones are the old, one metre aside."""
     library, human, grid = people.training, people.human, people.grid()
     aside = turn_and_shift(0.0, (1.0, 0.0, 0.0))
-    offset = max(library.labels) - min(library.labels) + 1
-    moved = [replace(placed(motion, aside), label=(motion.label or 0) + offset) for motion in library]
+    moved = [replace(placed(motion, aside), label=f"{motion.label} aside") for motion in library]
     doubled = replace(library, motions=(*library.motions, *moved))
     advance, n = begin("classes", len(doubled.labels)), 2
     while n <= len(doubled.labels):
@@ -308,7 +307,7 @@ class People:
         shown = Places.of_ends(ends).places_m if self.training.labels else np.array([end.place_m for end in ends])
         k = np.arange(count)
         higher = np.outer(k // len(shown), (0.0, 0.0, _HIGHER_M))
-        return Places(tuple(k.tolist()), shown[k % len(shown)] + higher)
+        return Places(tuple(map(str, k.tolist())), shown[k % len(shown)] + higher)
 
 
 def measure_node(people: People, predictor: str, folder: Path) -> dict[str, Any]:

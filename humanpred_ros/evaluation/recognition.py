@@ -148,7 +148,7 @@ class Trace(NamedTuple):
     log: UpdateLog  #: of the updates
 
 
-def play(classifier: Classifier, motion: Motion, labels: Sequence[int]) -> Trace:
+def play(classifier: Classifier, motion: Motion, labels: Sequence[str]) -> Trace:
     """Show a motion to a copy of a classifier and return what it said.
 
     A copy, because what a classifier keeps from one motion to the next, such as where the person stands, must not come
@@ -161,7 +161,7 @@ def play(classifier: Classifier, motion: Motion, labels: Sequence[int]) -> Trace
     return Trace(np.array([given_known(posterior, labels) for posterior in seen]), unknown, log)
 
 
-def given_known(posterior: ClassPosterior | None, labels: Sequence[int]) -> FloatArray:
+def given_known(posterior: ClassPosterior | None, labels: Sequence[str]) -> FloatArray:
     """Return (C,) the probabilities of the labels if the motion is of one of them; all equal if nothing was said."""
     if posterior is None:
         return np.full(len(labels), 1.0 / len(labels))
@@ -187,7 +187,7 @@ class LeftOutRuns:
             The traces of a left-out motion, as recorded and at each further speed, or of each motion of a left-out
             class; the seconds that fitting the whole library took, None if it was fitted before; processor time in s.
         """
-        kind, name = task.split()
+        kind, _, name = task.partition(" ")
         new = kind == "motion" and "_fitted" not in self.__dict__
         begun = time.process_time()
         if kind == "motion":
@@ -195,9 +195,9 @@ class LeftOutRuns:
             motion, classifier = self.library.find(name), fitted_without(whole, self.library, name)
             shown, labels = [motion, *(at_speed(motion, speed) for speed in self.speeds)], self.library.labels
         else:
-            rest, fit_s = self.library.select(lambda motion: motion.label != int(name)), 0.0
+            rest, fit_s = self.library.select(lambda motion: motion.label != name), 0.0
             classifier, labels = self.choice.make(human_with(rest.dof_names)).fit(rest), rest.labels
-            shown = list(self.library.of_class(int(name)))
+            shown = list(self.library.of_class(name))
         traces = [play(classifier, motion, labels) for motion in shown]
         return traces, fit_s if new else None, time.process_time() - begun
 

@@ -22,7 +22,7 @@ _NAME = Column("classifier", "name")
 
 
 def recognition_tables(
-    results: Sequence[dict[str, Any]], labels: Sequence[int], reference: Mapping[str, Any] | None
+    results: Sequence[dict[str, Any]], labels: Sequence[str], reference: Mapping[str, Any] | None
 ) -> Iterator[Table]:
     """Give the tables of classifiers side by side, and of what the default one takes each class for.
 
@@ -88,7 +88,7 @@ def recognition_tables(
     )
     shown = next((result for result in results if result["name"] == DEFAULT_CLASSIFIER), results[0])
     counts = shown["confusion_at_60"]
-    taken_for = [str(label) for label in labels] + ["undecided"] * bool(counts[:, -1].any())
+    taken_for = [*labels] + ["undecided"] * bool(counts[:, -1].any())
     yield Table.of_rows(
         f"{shown['name']}: true class (rows) taken for, at 60 % of the motion",
         ("true class", *taken_for),

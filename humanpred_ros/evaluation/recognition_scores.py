@@ -179,7 +179,7 @@ def quartiles(values: FloatArray) -> FloatArray:
     return found
 
 
-def unknown_score(by_class: Mapping[int, FloatArray], known: FloatArray) -> dict[str, Any]:
+def unknown_score(by_class: Mapping[str, FloatArray], known: FloatArray) -> dict[str, Any]:
     """Return how well motions of classes that were never learned are told from left-out motions of learned ones.
 
     Args:

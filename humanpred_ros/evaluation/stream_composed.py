@@ -68,7 +68,7 @@ class Placed:
     """A motion within a stream."""
 
     name: str  #: of the recorded motion, `class/index`; a made return has the name of the motion before it
-    label: int | None  #: class of the recorded motion
+    label: str | None  #: class of the recorded motion
     made: bool  #: True for a return that is not recorded
     start_s: float  #: the recorded (or made) piece's first and last stamp in the stream
     stop_s: float

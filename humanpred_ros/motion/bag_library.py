@@ -27,6 +27,7 @@ from humanpred_ros.files import json_of
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.kinect import KINECT12_DOFS
 from humanpred_ros.human.model import MOCAP23_DOFS
+from humanpred_ros.motion.labels import checked_label
 from humanpred_ros.motion.motion import SKELETON_POINTS, Motion, MotionLibrary
 from humanpred_ros.topics import human_joint_states
 
@@ -83,7 +84,7 @@ def motion_text(motion: Motion) -> str:
 class _Draft:
     """A motion being collected from messages."""
 
-    label: int | None
+    label: str | None
     index: int
     n_frames: int | None
     t0_ns: int = 0
@@ -98,7 +99,7 @@ class _Draft:
     def announced(cls, path: Path, text: str) -> _Draft:
         try:
             facts = json_of(text)
-            label = None if facts["label"] is None else int(facts["label"])
+            label = None if facts["label"] is None else checked_label(facts["label"], BagError)
             return cls(label, int(facts["index"]), int(facts["n_frames"]), int(facts.get("t0_ns", 0)))
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as trouble:
             raise BagError(

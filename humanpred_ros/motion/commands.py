@@ -75,7 +75,7 @@ def import_libraries(settings: ImportSettings, console: Console) -> int:
     and right arm.
 
     - One person: the bag `OUT/<name>` holds a motion for each take, to train on, replay and predict. Classes come from
-      the takes' names (`classes: {"left_*": 0}`).
+      the takes' names (`classes: {"left_*": screws}`).
     - Two people (`persons: {active: ..., passive: ...}`): `OUT/<name>` gets `<take>_active.csv` and
       `<take>_passive.csv`, the form that `evaluate reaching` and the reach predictor learn from.
 

@@ -24,6 +24,7 @@ from humanpred_ros.human.kinect import KINECT12_DOFS
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import read_library_bag
 from humanpred_ros.motion.csv_files import Table, read_rows, read_table
+from humanpred_ros.motion.labels import label_order
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.reach_recordings import ACTIVE, FRAME_ID, load_reach_recordings
 
@@ -112,25 +113,25 @@ def _reaching_people(folder: Path) -> MotionLibrary:
     return MotionLibrary(name, motions, provenance)
 
 
-def class_files(folder: Path) -> dict[int, Path]:
+def class_files(folder: Path) -> dict[str, Path]:
     """Return the class files of a folder by class, ascending; empty if there are none.
 
     Raises:
         LibraryFormatError: two files for one class.
     """
-    found: dict[int, Path] = {}
+    found: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
         match = _CLASS_FILE.fullmatch(path.name)
         if match is None or not path.is_file():
             continue
-        label = int(match[2])
+        label = str(int(match[2]))
         if label in found:
             raise LibraryFormatError(
                 f"{folder}: wanted one file per class, got {found[label].name} and {path.name} for class {label}; "
                 "move one of them away"
             )
         found[label] = path
-    return dict(sorted(found.items()))
+    return dict(sorted(found.items(), key=lambda file: label_order(file[0])))
 
 
 def read_csv_library(

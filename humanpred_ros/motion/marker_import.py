@@ -11,7 +11,7 @@ The file of names is YAML; everything in it may be left out::
       RFX: {segment: forearm, place_m: [0.0, -0.04, 0.1]}   # in the segment's link, hanging arm
     labels: file                  # or `shape`: the files' labels say nothing
     calibration: static.c3d       # a labelled trial that shows all markers: measures the person's shapes
-    classes: {"left_*": 0, "right_*": 1}   # class of the takes whose name fits
+    classes: {"left_*": screws, "right_*": housing}   # class of the takes whose name fits
     persons:                      # two people; each with prefix, markers, extra and calibration of their own
       active: {prefix: "A:"}      # the person who reaches
       passive: {prefix: "B:"}
@@ -22,7 +22,7 @@ joint) have to be there, the others help to fill gaps.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -36,6 +36,7 @@ from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.marker_labels import find_start, label_markers
 from humanpred_ros.human.marker_set import ANATOMICAL, UPPER_BODY, Marker, MarkerSet
 from humanpred_ros.human.marker_skeleton import MarkerSkeleton
+from humanpred_ros.motion.labels import checked_label
 from humanpred_ros.motion.marker_files import MarkerRecording, read_marker_file
 from humanpred_ros.motion.motion import Motion
 from humanpred_ros.motion.reach_recordings import ACTIVE, FRAME_ID, PASSIVE, check_units
@@ -68,7 +69,7 @@ class MarkerNames(PersonNames):
     axes: tuple[str, str, str] = setting(("x", "y", "z"), "the files' axes that point along x, y and z, z being up")
     rate_hz: float | None = setting(None, "frames per second; none: what the file says", low=1e-3)
     labels: Literal["file", "shape"] = setting("file", "whether labels are the files', or found by shape and distance")
-    classes: dict[str, int] = setting({}, "class of the takes whose name fits a pattern")
+    classes: dict[str, str | int] = setting({}, "class of the takes whose name fits a pattern")
     persons: dict[str, PersonNames] = setting({}, "two people: active and passive")
 
     def check(self) -> None:
@@ -88,8 +89,8 @@ class MarkerNames(PersonNames):
                 "persons: wanted prefix, markers, extra and calibration at each person, and labels from the file: "
                 "shapes do not distinguish two people"
             )
-        if any(label < 0 for label in self.classes.values()):
-            raise SettingsError(f"classes: wanted numbers from 0, got {dict(self.classes)}")
+        for label in self.classes.values():
+            checked_label(label, SettingsError)
 
     @property
     def rotation(self) -> FloatArray:
@@ -159,7 +160,7 @@ class MarkerReader:
             except (MotionError, HumanModelError) as trouble:
                 raise MotionError(f"{trial.path}: {trouble}") from trouble
 
-    def take(self, recording: MarkerRecording, label: int | None, index: int, trim: bool) -> Take:
+    def take(self, recording: MarkerRecording, label: str | None, index: int, trim: bool) -> Take:
         """Return the person's motion in a recording.
 
         Args:
@@ -235,13 +236,13 @@ class MarkerReader:
         return np.asarray(_METRES[unit] * recording.points @ self._names.rotation.T)
 
 
-def class_of(name: str, classes: dict[str, int], path: Path) -> int | None:
+def class_of(name: str, classes: Mapping[str, str | int], path: Path) -> str | None:
     """Return the class of a take by the patterns that its name fits, None if none does.
 
     Raises:
         SettingsError: it fits patterns of two classes.
     """
-    found = sorted({label for pattern, label in classes.items() if fnmatchcase(name, pattern)})
+    found = sorted({str(label) for pattern, label in classes.items() if fnmatchcase(name, pattern)})
     if len(found) > 1:
         raise SettingsError(f"{path}: wanted one class for {name}, its name fits those of {found}; change `classes`")
     return found[0] if found else None

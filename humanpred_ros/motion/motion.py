@@ -15,6 +15,7 @@ from humanpred_ros.errors import LibraryFormatError, MotionError, UsageError
 from humanpred_ros.files import name_trouble
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.human.kinect import LINK_OF_POINT
+from humanpred_ros.motion.labels import checked_label, label_order
 
 #: DoFs that say where the body stands, x, y, z in metres and then the turn about z in radians.
 PELVIS_DOFS = ("PelvisTransX", "PelvisTransY", "PelvisTransZ", "PelvisRotZ")
@@ -36,7 +37,7 @@ class Motion:
         t_s: (T,) seconds since the motion's start, strictly increasing, whole nanoseconds.
         q: (T, D) postures, metres and radians, in the order of `dof_names`.
         dof_names: D names.
-        label: class of the motion (a place that is reached), or None when unlabelled.
+        label: class of the motion, as `screws` or `3`, or None when unlabelled; a whole number becomes its text.
         index: number of the motion within its class.
         frame_id: frame in which pelvis and points are expressed.
         points_m: (T, 15, 3) skeleton points in `frame_id`, NaN where the sensor lost one; None if not recorded.
@@ -48,12 +49,14 @@ class Motion:
     t_s: FloatArray
     q: FloatArray
     dof_names: tuple[str, ...]
-    label: int | None = None
+    label: str | None = None
     index: int = 0
     frame_id: str = "kinect"
     points_m: FloatArray | None = None
 
     def __post_init__(self) -> None:
+        if self.label is not None:
+            object.__setattr__(self, "label", checked_label(self.label))
         name = self.name
         t_s = checked(f"{name}: t_s", self.t_s, ("T",), error=MotionError)
         q = checked(f"{name}: q", self.q, ("T", len(self.dof_names)), error=MotionError)
@@ -62,10 +65,10 @@ class Motion:
                 f"{name}: wanted 2 frames or more, as many stamps as postures, got {len(t_s)} and {len(q)}"
             )
         largest = float(np.abs(t_s).max()) / _LONGEST_S, float(np.abs(q).max(initial=0.0)) / _FARTHEST
-        if max(largest) > 1.0 or not 0 <= self.index <= _MOST or not abs(self.label or 0) <= _MOST:
+        if max(largest) > 1.0 or not 0 <= self.index <= _MOST:
             raise MotionError(
-                f"{name:.80}: wanted stamps up to {_LONGEST_S:g} s, postures up to {_FARTHEST:g} m or rad, and class "
-                f"and index up to {_MOST}, got more; correct it"
+                f"{name:.80}: wanted stamps up to {_LONGEST_S:g} s, postures up to {_FARTHEST:g} m or rad, and "
+                f"index up to {_MOST}, got more; correct it"
             )
         t_s = np.round(t_s * 1e9) * 1e-9  # stamps live as integer nanoseconds in bags; keep both sides equal
         step = np.diff(t_s)
@@ -177,13 +180,18 @@ class MotionLibrary:
         return self.motions[0].frame_id
 
     @property
-    def labels(self) -> tuple[int, ...]:
-        """Sorted class labels; unlabelled motions have none."""
-        return tuple(sorted({motion.label for motion in self.motions if motion.label is not None}))
+    def labels(self) -> tuple[str, ...]:
+        """Class labels in `label_order`; unlabelled motions have none."""
+        return tuple(sorted({motion.label for motion in self.motions if motion.label is not None}, key=label_order))
 
-    def of_class(self, label: int) -> tuple[Motion, ...]:
-        """Return the motions of one class, by index."""
-        return tuple(sorted((m for m in self.motions if m.label == label), key=lambda m: m.index))
+    def of_class(self, label: str) -> tuple[Motion, ...]:
+        """Return the motions of one class, by index; a whole number will do for its text."""
+        return tuple(sorted((m for m in self.motions if m.label == str(label)), key=lambda m: m.index))
+
+    @property
+    def by_class(self) -> list[Motion]:
+        """The motions by class and index, those without a class first."""
+        return sorted(self.motions, key=lambda motion: (*label_order(motion.label), motion.index))
 
     def select(self, keep: Callable[[Motion], bool]) -> MotionLibrary:
         """Return the library of the motions for which `keep` is true (LibraryFormatError if none)."""
@@ -197,7 +205,7 @@ class MotionLibrary:
         Raises:
             UsageError: no such motion, with what exists.
         """
-        ordered = sorted(self.motions, key=lambda m: (-1 if m.label is None else m.label, m.index))
+        ordered = self.by_class
         for number, motion in enumerate(ordered):
             if trajectory in (motion.name, str(number)):
                 return motion

@@ -220,11 +220,11 @@ def generate_library(config: ReachGeneratorConfig, rng: np.random.Generator) -> 
         exposures = np.arange(int(path.duration_s * config.camera.rate_hz) + 1) / config.camera.rate_hz
         q = body.follow(path, exposures, rests[n], rng)
         recording = observe(exposures, skeleton.points(q), config.camera, rng)
-        motions.append(_delivered(recording, skeleton, label, n // len(goals), config.frame_id))
+        motions.append(_delivered(recording, skeleton, str(label), n // len(goals), config.frame_id))
     return MotionLibrary(config.name, tuple(motions), provenance)
 
 
-def _delivered(recording: Observed, skeleton: KinectSkeleton, label: int, index: int, frame_id: str) -> Motion:
+def _delivered(recording: Observed, skeleton: KinectSkeleton, label: str, index: int, frame_id: str) -> Motion:
     """Return the motion a tracker delivers: the frames whose points determine a posture."""
     postures = skeleton.postures(recording.points_m)
     usable = postures.complete

@@ -18,6 +18,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from humanpred_ros.errors import ArrayError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid, codes_of, probability_of_code
+from humanpred_ros.motion.labels import LONGEST_BYTES
 from humanpred_ros.planning.decision import Decision
 from humanpred_ros.planning.trajectory import TimedTrajectory
 
@@ -93,19 +94,22 @@ def _places_of(message: JointState, names: Sequence[str]) -> dict[str, int]:
 
 
 @lru_cache
-def _float_fields(names: tuple[str, ...]) -> tuple[PointField, ...]:
-    """Return the fields of clouds of float32 numbers; every message holds the same ones."""
+def _point_fields(layout: np.dtype[Any]) -> tuple[PointField, ...]:
+    """Return the fields of clouds of float32 numbers and texts; many messages hold the same ones."""
     return tuple(
-        PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1) for k, name in enumerate(names)
+        PointField(name=name, offset=offset, datatype=PointField.UINT8, count=kind.itemsize)
+        if kind.kind == "S"
+        else PointField(name=name, offset=offset, datatype=PointField.FLOAT32, count=1)
+        for name, (kind, offset, *_) in (layout.fields or {}).items()
     )
 
 
 def _cloud(columns: NDArray[Any], t_ns: int, frame_id: str) -> PointCloud2:
-    """Return an unordered cloud of a structured array, one point per element, float32 fields."""
+    """Return an unordered cloud of a structured array, one point per element, fields of float32 or of bytes."""
     message = PointCloud2(
         height=1,
         width=len(columns),
-        fields=list(_float_fields(columns.dtype.names or ())),
+        fields=list(_point_fields(columns.dtype)),
         point_step=columns.dtype.itemsize,
         row_step=columns.nbytes,
         is_dense=True,
@@ -242,11 +246,16 @@ def occupancy_from_cloud(message: PointCloud2, grid: VoxelGrid, t_s: float, fram
     return Occupancy(grid, probability.reshape(grid.shape), t_s)
 
 
-def goals_cloud(goals_m: FloatArray, labels: Sequence[int], probability: FloatArray, t_ns: int) -> PointCloud2:
-    """Return the goal places (C, 3) of the classes with their posterior, world frame."""
-    points = np.empty(len(labels), dtype=[(name, "<f4") for name in ("x", "y", "z", "class_id", "probability")])
+def goals_cloud(goals_m: FloatArray, labels: Sequence[str], probability: FloatArray, t_ns: int) -> PointCloud2:
+    """Return the goal places (C, 3) of the classes with their posterior, world frame.
+
+    The field `label` holds a class's label in UTF-8, with zeros at its end; `class_id` is its place among the classes.
+    """
+    numbers = [(name, "<f4") for name in ("x", "y", "z", "class_id", "probability")]
+    points = np.empty(len(labels), dtype=[*numbers, ("label", f"S{LONGEST_BYTES}")])
     points["x"], points["y"], points["z"] = goals_m[:, 0], goals_m[:, 1], goals_m[:, 2]
-    points["class_id"], points["probability"] = labels, probability
+    points["class_id"], points["probability"] = np.arange(len(labels)), probability
+    points["label"] = [label.encode() for label in labels]
     return _cloud(points, t_ns, "world")
 
 

@@ -192,8 +192,8 @@ class Graph:
 
 
 def _posterior(message: PointCloud2) -> dict[str, float]:
-    _, labels, probability = recorded.cloud_of(message, "class_id", "probability")
-    said = {str(int(label)): float(p) for label, p in zip(np.rint(labels), probability, strict=True)}
+    _, labels, probability = recorded.posterior_of(message)
+    said = dict(zip(labels, probability.tolist(), strict=True))
     return {**said, "none of these": max(0.0, 1.0 - sum(said.values()))}
 
 

@@ -212,7 +212,7 @@ class OccupancyPredictorNode(GraphNode):
         return train_model(load_library(locate(self.settings.library, "bags")), self.human, chosen)
 
     def _reaching(
-        self, scene: Scene, told: Mapping[int, FloatArray] | None, own: ReachingSettings
+        self, scene: Scene, told: Mapping[str, FloatArray] | None, own: ReachingSettings
     ) -> ReachingPredictor:
         """Return the predictor that knows places; a library without classes is enough for it, given places."""
         # These take half a second to import.
@@ -245,7 +245,7 @@ class OccupancyPredictorNode(GraphNode):
             self.get_logger().warning(note)
         return predictor
 
-    def _told(self, entries: list[str]) -> Mapping[int, FloatArray] | None:
+    def _told(self, entries: list[str]) -> Mapping[str, FloatArray] | None:
         """Return the places in the parameter `places` (UsageError if it cannot be used)."""
         told = places_from_text(entries, self.T_world_human)
         if told is not None and self.settings.predictor != "reaching":

@@ -62,7 +62,7 @@ class PredictorRequest:
     onsets: bool = False
     settings: Settings | None = None  #: of the predictor, of its `settings_type`; the default ones if None
     #: where the palm may go, (3,) by label, tracker's frame; those of the model's classes if None
-    places: Mapping[int, ArrayLike] | None = None
+    places: Mapping[str, ArrayLike] | None = None
     obstacles: Sequence[Obstacle] = ()  #: what stands in a reach's way, world frame
 
     def trained_model(self) -> TrainedModel:

@@ -68,7 +68,7 @@ class SweptVolumePredictor(Predictor):
     classifiers = None
     also_trained = ("gmm",)
 
-    def __init__(self, classifier: Classifier, swept: Mapping[int, NDArray[np.bool_]], grid: VoxelGrid) -> None:
+    def __init__(self, classifier: Classifier, swept: Mapping[str, NDArray[np.bool_]], grid: VoxelGrid) -> None:
         """Join a fitted classifier and the volume each of its classes sweeps.
 
         Args:

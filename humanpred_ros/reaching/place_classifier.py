@@ -80,7 +80,7 @@ class PlaceClassifier(Classifier):
         self.progress = ReachProgress(self.human)
         #: What was learned from, for `fit_without`, and the models learned without a class.
         self._lessons: tuple[ReachLesson, ...] = ()
-        self._without: dict[int, PlaceModel] = {}
+        self._without: dict[str, PlaceModel] = {}
         self.start()
 
     def set_places(self, places: Places) -> None:
@@ -119,7 +119,7 @@ class PlaceClassifier(Classifier):
         if tuple(lesson.end.name for lesson in self._lessons) != tuple(other.name for other in library):
             raise UsageError("places: wanted a classifier fitted to this library, got another; call fit(library) first")
         places = Places.of_ends([lesson.end for lesson in self._lessons], without_motion=motion.name)
-        label = -1 if motion.label is None else motion.label
+        label = motion.label or ""
         if label not in self._without:
             self._without[label] = fit_place_model(self._lessons, self.human, self.settings, without=(label,))
         return PlaceClassifier(self.human, self.settings, self._without[label], places)

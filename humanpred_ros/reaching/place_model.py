@@ -129,7 +129,7 @@ def reach_lessons(library: MotionLibrary, human: HumanModel, settings: PlaceSett
 
 
 def fit_place_model(
-    lessons: Sequence[ReachLesson], human: HumanModel, settings: PlaceSettings, without: Collection[int] = ()
+    lessons: Sequence[ReachLesson], human: HumanModel, settings: PlaceSettings, without: Collection[str] = ()
 ) -> PlaceModel:
     """Return the model that follows from lessons; the prior one where there is nothing to tell apart.
 

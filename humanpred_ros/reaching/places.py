@@ -23,6 +23,7 @@ from humanpred_ros.errors import ArrayError, HumanPredError, LibraryFormatError,
 from humanpred_ros.geometry.checks import FloatArray, checked, frozen
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.cleaning import DROP_REASONS, flag_library
+from humanpred_ros.motion.labels import checked_label, label_order
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.reaching.end_postures import EndPostures, standing
 from humanpred_ros.reaching.excess_cost import farthest_palm
@@ -32,8 +33,8 @@ from humanpred_ros.recognition.reach_features import POINTS, point_links
 #: libraries no place is more than 0.63 m farther from the shoulder at the start than the arm is long.
 LEAN_M = 0.7
 _RIGID_TOLERANCE = 1e-6
-#: No room is larger; and labels travel as float32, which holds whole numbers exactly up to this.
-_FARTHEST_M, _LARGEST_LABEL = 1000.0, 2**24
+#: No room is larger.
+_FARTHEST_M = 1000.0
 #: Number of unlisted places of each kind, drawn evenly: where people reach most they are less than 0.1 m apart.
 N_PLACES = 512
 #: Factor on the variance of the reaches seen: people also reach beyond the places that a library shows.
@@ -57,11 +58,11 @@ class Places:
         ArrayError: wrong shape, or places that are not finite.
     """
 
-    labels: tuple[int, ...]  #: G different labels, as those of a library's classes
+    labels: tuple[str, ...]  #: G different labels, as those of a library's classes
     places_m: FloatArray  #: (G, 3) where the palm goes, tracker's frame
 
     def __post_init__(self) -> None:
-        labels = tuple(int(label) for label in self.labels)
+        labels = tuple(checked_label(label, UsageError) for label in self.labels)
         if not labels:
             raise UsageError("places: wanted at least one, got none; give places, or do not infer them")
         twice = sorted({label for label in labels if labels.count(label) > 1})
@@ -72,16 +73,15 @@ class Places:
             )
         places = checked("places", self.places_m, (len(labels), 3))
         for label, place in zip(labels, places, strict=True):
-            if abs(label) > _LARGEST_LABEL or np.abs(place).max() > _FARTHEST_M:
+            if np.abs(place).max() > _FARTHEST_M:
                 raise UsageError(
-                    f"places: wanted labels up to {_LARGEST_LABEL} and places within {_FARTHEST_M:g} m, got "
-                    f"{label!s:.20} at {place.tolist()}; check the units"
+                    f"places: wanted places within {_FARTHEST_M:g} m, got {label} at {place.tolist()}; check the units"
                 )
         object.__setattr__(self, "labels", labels)
         object.__setattr__(self, "places_m", frozen(places))
 
     @classmethod
-    def of(cls, places: Mapping[int, ArrayLike]) -> Places:
+    def of(cls, places: Mapping[str, ArrayLike]) -> Places:
         """Return places given as (3,) by label."""
         return cls(tuple(places), np.array(list(places.values()), dtype=np.float64))
 
@@ -89,7 +89,7 @@ class Places:
         return len(self.labels)
 
     @property
-    def by_label(self) -> dict[int, FloatArray]:
+    def by_label(self) -> dict[str, FloatArray]:
         """(3,) places by label."""
         return dict(zip(self.labels, self.places_m, strict=True))
 
@@ -102,7 +102,7 @@ class Places:
             raise ArrayError(f"transform of places: wanted a rotation and a translation, got {T.tolist()}")
         return Places(self.labels, self.places_m @ R.T + T[:3, 3])
 
-    def out_of_reach(self, human: HumanModel, q: ArrayLike) -> dict[int, str]:
+    def out_of_reach(self, human: HumanModel, q: ArrayLike) -> dict[str, str]:
         """Return the places that a person in posture (D,) cannot get to, by label, with a sentence about each.
 
         People get farther than the length of the arm by `LEAN_M`.
@@ -131,7 +131,7 @@ class Places:
         Raises:
             LibraryFormatError: no labelled motions, or a class whose only motion is left out.
         """
-        labels = sorted({end.label for end in ends if end.label is not None})
+        labels = sorted({end.label for end in ends if end.label is not None}, key=label_order)
         if not labels:
             raise LibraryFormatError("places: wanted motions with a label, got none; label them or give places")
         by_label = {c: [end for end in ends if end.label == c and end.name != without_motion] for c in labels}
@@ -145,7 +145,7 @@ class Places:
 
 
 def places_from_text(entries: Sequence[str], T_world_human: FloatArray) -> Places | None:
-    """Return the places of entries `label x y z` (a whole number, metres in the world frame); None if there are none.
+    """Return the places of entries `label x y z` (metres in the world frame); None if there are none.
 
     Empty entries are ignored: ROS has no empty list of texts.
 
@@ -163,7 +163,7 @@ def places_from_text(entries: Sequence[str], T_world_human: FloatArray) -> Place
     )
 
 
-def places_in_world(places: Mapping[int, ArrayLike], T_world_human: FloatArray) -> Places | None:
+def places_in_world(places: Mapping[str, ArrayLike], T_world_human: FloatArray) -> Places | None:
     """Return places (3,) by label in the world frame, as a scene gives them, in the tracker's; None if there are none.
 
     Raises:
@@ -177,18 +177,18 @@ def places_in_world(places: Mapping[int, ArrayLike], T_world_human: FloatArray) 
         raise UsageError(str(trouble)) from trouble
 
 
-def _read(entry: str) -> tuple[int, FloatArray]:
+def _read(entry: str) -> tuple[str, FloatArray]:
     try:
-        label, *place = entry.split()
+        label, *place = entry.strip().rsplit(maxsplit=3)
         x, y, z = (float(number) for number in place)
         # Python reads 1_0 as 10, which is more likely a typing error.
-        if "_" in entry or not all(map(math.isfinite, (x, y, z))):
+        if any("_" in number for number in place) or not all(map(math.isfinite, (x, y, z))):
             raise ValueError
-        return int(label), np.array([x, y, z])
+        return label, np.array([x, y, z])
     except ValueError:
         raise UsageError(
-            f"place: wanted 'label x y z', a whole number and the palm's place in metres in the world frame, as in "
-            f"'3 -0.22 -0.67 0.80', got {entry!r:.80}"
+            f"place: wanted 'label x y z', a name and the palm's place in metres in the world frame, as in "
+            f"'screws -0.22 -0.67 0.80', got {entry!r:.80}"
         ) from None
 
 
@@ -197,7 +197,7 @@ class ReachEnd:
     """Where one motion's palm was farthest from its start."""
 
     name: str  #: of the motion, `class/index`
-    label: int | None  #: its class, None if it has none
+    label: str | None  #: its class, None if it has none
     place_m: FloatArray  #: (3,) tracker's frame
     tracked: bool  #: False if the motion is mistracked or mislabelled (`motion.cleaning`)
 
@@ -215,12 +215,12 @@ def reach_ends(library: MotionLibrary, human: HumanModel) -> tuple[ReachEnd, ...
     )
 
 
-def reaching_for(ends: Sequence[ReachEnd], labels: Collection[int]) -> frozenset[str]:
+def reaching_for(ends: Sequence[ReachEnd], labels: Collection[str]) -> frozenset[str]:
     """Return the names of motions of these labels, and of those that end nearer to their places than to their own.
 
     A predictor that must know nothing of a class must not learn from these, since labels may be wrong.
     """
-    by_label: dict[int, list[ReachEnd]] = {}
+    by_label: dict[str, list[ReachEnd]] = {}
     for end in ends:
         if end.label is not None:
             by_label.setdefault(end.label, []).append(end)

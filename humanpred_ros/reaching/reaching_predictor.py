@@ -144,7 +144,7 @@ class ReachingPredictor(Predictor):
         knowledge: ReachKnowledge,
         grid: VoxelGrid,
         T_world_human: ArrayLike,
-        places: Mapping[int, ArrayLike] | None = None,
+        places: Mapping[str, ArrayLike] | None = None,
         *,
         onsets: bool = False,
         obstacles: Sequence[Obstacle] = (),
@@ -195,11 +195,11 @@ class ReachingPredictor(Predictor):
         return (f"mistracked, not learned from: {', '.join(left_out)}",) if left_out else ()
 
     @property
-    def places(self) -> Mapping[int, FloatArray]:
+    def places(self) -> Mapping[str, FloatArray]:
         """(3,) by label, tracker's frame: the places weighed against each other."""
         return self._places.by_label
 
-    def set_places(self, places: Mapping[int, ArrayLike] | None) -> None:
+    def set_places(self, places: Mapping[str, ArrayLike] | None) -> None:
         """Weigh other places from the next posture on, the library's if None; the reach under way is judged anew.
 
         Raises:
@@ -246,7 +246,7 @@ class ReachingPredictor(Predictor):
         assert places is not None
         return places
 
-    def _checked(self, places: Mapping[int, ArrayLike] | None) -> Places:
+    def _checked(self, places: Mapping[str, ArrayLike] | None) -> Places:
         """Return the places, or the library's (UsageError if there are none)."""
         if places:
             return Places.of(places)

@@ -32,7 +32,7 @@ class ClassPosterior:
             take it for granted that it belongs to one. Always less than 1.
     """
 
-    labels: tuple[int, ...]
+    labels: tuple[str, ...]
     probability: FloatArray
     log_evidence: FloatArray
     t_s: float
@@ -51,7 +51,7 @@ class ClassPosterior:
         object.__setattr__(self, "probability", p)
 
     @property
-    def best(self) -> int:
+    def best(self) -> str:
         """Label of the most probable class."""
         return self.labels[int(np.argmax(self.probability))]
 
@@ -61,7 +61,7 @@ class ClassPosterior:
         conditional: FloatArray = self.probability / self.probability.sum()
         return conditional
 
-    def of(self, label: int) -> float:
+    def of(self, label: str) -> float:
         """Return the probability of one class."""
         return float(self.probability[self.labels.index(label)])
 

@@ -94,7 +94,7 @@ class Exemplars:
 
     @classmethod
     def of_motions(
-        cls, motions: Sequence[Motion], labels: tuple[int, ...], human: HumanModel, n_postures: int
+        cls, motions: Sequence[Motion], labels: tuple[str, ...], human: HumanModel, n_postures: int
     ) -> Exemplars:
         """Return `n_postures` evenly spaced postures of each motion."""
         links, pelvis = point_links(human), human.link_names.index(PELVIS)

@@ -62,7 +62,7 @@ def drawn_motions(names: tuple[str, ...], settings: ForestSettings) -> NDArray[n
 class ForestModel:
     """What the classifier has learned: immutable."""
 
-    labels: tuple[int, ...]  #: C class labels
+    labels: tuple[str, ...]  #: C class labels
     exemplars: Exemplars  #: the postures it learned from
     forest: Forest  #: the trees, with their votes
     calibration: Calibration  #: from votes to probabilities
@@ -72,7 +72,7 @@ class ForestModel:
     @classmethod
     def learned(
         cls,
-        labels: tuple[int, ...],
+        labels: tuple[str, ...],
         exemplars: Exemplars,
         settings: ForestSettings,
         known: Sequence[Tree | None] = (),
@@ -108,7 +108,7 @@ class ForestModel:
         return ForestModel.learned(self.labels, exemplars, settings, kept)
 
 
-def _joined(labels: tuple[int, ...], exemplars: Exemplars, trees: Sequence[Tree], settings: ForestSettings) -> Forest:
+def _joined(labels: tuple[str, ...], exemplars: Exemplars, trees: Sequence[Tree], settings: ForestSettings) -> Forest:
     """Return the forest of trees grown on these exemplars. Raises ArrayError if their numbers do not fit."""
     if len(trees) != settings.n_trees or set(exemplars.label.tolist()) != set(range(len(labels))):
         raise ArrayError(
@@ -166,7 +166,7 @@ class ForestClassifier(Classifier):
     def state(self) -> dict[str, NDArray[Any]]:
         model = self._fitted()
         return {
-            "labels": np.array(model.labels, dtype=np.int64),
+            "labels": np.array(model.labels),
             "motions": np.array(model.exemplars.names),
             **{name: getattr(model.exemplars, name) for name in _EXEMPLARS},
             "n_nodes": np.diff(model.forest.first),
@@ -180,7 +180,7 @@ class ForestClassifier(Classifier):
     @classmethod
     def from_state(cls, human: HumanModel, settings: Settings, state: Mapping[str, NDArray[Any]]) -> ForestClassifier:
         self = cls(human, settings)
-        labels = tuple(int(label) for label in state["labels"])
+        labels = tuple(str(label) for label in state["labels"])
         exemplars = Exemplars(
             tuple(str(name) for name in state["motions"]),
             state["label"].astype(np.intp),

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from humanpred_ros.errors import ArrayError, LibraryFormatError, MotionError, SettingsError, UsageError
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.labels import number_of
 from humanpred_ros.motion.motion import Motion, MotionLibrary, is_angle, unwrap_angles
 from humanpred_ros.recognition.classifier import Classifier, ClassPosterior, check_trainable
 from humanpred_ros.recognition.mixture import GaussianMixtures, fit_mixture, regress
@@ -78,7 +79,7 @@ class ClassMixtures:
         ArrayError: lengths that do not agree, labels twice, a duration that is not positive.
     """
 
-    labels: tuple[int, ...]  #: C class labels
+    labels: tuple[str, ...]  #: C class labels
     #: one a class, over F features: the postures' D, with the phase before them if it is a feature
     mixtures: GaussianMixtures
     motions_per_class: tuple[int, ...]  #: C counts of the motions learned from
@@ -110,7 +111,7 @@ class ClassMixtures:
 
 
 def fit_class_mixtures(
-    library: MotionLibrary, settings: GmmSettings, *, known: ClassMixtures | None = None, changed: int | None = None
+    library: MotionLibrary, settings: GmmSettings, *, known: ClassMixtures | None = None, changed: str | None = None
 ) -> ClassMixtures:
     """Fit one mixture per class of a library (P1 III).
 
@@ -146,9 +147,9 @@ def fit_class_mixtures(
     )
 
 
-def _fit_class(library: MotionLibrary, label: int, settings: GmmSettings) -> GaussianMixtures:
+def _fit_class(library: MotionLibrary, label: str, settings: GmmSettings) -> GaussianMixtures:
     samples = np.vstack([training_samples(motion, settings) for motion in library.of_class(label)])
-    rng = np.random.default_rng([settings.seed, label % 2**64])  # a seed sequence takes no negative labels
+    rng = np.random.default_rng([settings.seed, number_of(label)])
     try:
         return fit_mixture(
             samples,
@@ -233,7 +234,7 @@ class GmmClassifier(Classifier):
     def state(self) -> dict[str, NDArray[Any]]:
         classes = self._fitted()
         return {
-            "labels": np.array(classes.labels, dtype=np.int64),
+            "labels": np.array(classes.labels),
             "weights": classes.mixtures.weights,
             "means": classes.mixtures.means,
             "covariances": classes.mixtures.covariances,
@@ -247,7 +248,7 @@ class GmmClassifier(Classifier):
         self = cls(human, settings)
         self._take(
             ClassMixtures(
-                tuple(int(label) for label in state["labels"]),
+                tuple(str(label) for label in state["labels"]),
                 GaussianMixtures(state["weights"], state["means"], state["covariances"]),
                 tuple(int(n) for n in state["motions_per_class"]),
                 human.dof_names,

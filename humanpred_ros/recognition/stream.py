@@ -170,6 +170,6 @@ class StreamClassifier(Classifier):
         return None
 
 
-def _undecided(labels: tuple[int, ...]) -> ClassPosterior:
+def _undecided(labels: tuple[str, ...]) -> ClassPosterior:
     """Return the posterior before anything was seen of a motion: every class is equally probable."""
     return ClassPosterior(labels, np.full(len(labels), 1.0 / len(labels)), np.zeros(len(labels)), 0.0, 0)

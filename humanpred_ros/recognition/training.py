@@ -89,7 +89,7 @@ class TrainedModel:
         return trained.fresh(settings)
 
     @cached_property
-    def places(self) -> Mapping[int, FloatArray]:
+    def places(self) -> Mapping[str, FloatArray]:
         """Where each class reaches to, (3,) by label, library's frame: the median of its motions' `farthest_palm_m`."""
         return {
             label: np.median([farthest_palm_m(self.human, motion.q) for motion in self.library.of_class(label)], axis=0)
@@ -305,7 +305,7 @@ def _library(facts: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> MotionLi
     first, t_s, q = arrays["library/first"], arrays["library/t_s"], arrays["library/q"]
     dof_names, frame_id = tuple(str(name) for name in facts["dof_names"]), str(facts["frame_id"])
     motions = [
-        Motion(t_s[a:b], q[a:b], dof_names, None if label is None else int(label), int(index), frame_id)
+        Motion(t_s[a:b], q[a:b], dof_names, None if label is None else str(label), int(index), frame_id)
         for a, b, label, index in zip(first[:-1], first[1:], facts["labels"], facts["indices"], strict=True)
     ]
     provenance = {str(key): str(value) for key, value in facts["provenance"].items()}

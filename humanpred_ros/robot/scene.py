@@ -19,6 +19,7 @@ from humanpred_ros.geometry.distance_field import DEFAULT_RESOLUTION_M, SignedDi
 from humanpred_ros.geometry.lattice import VoxelGrid
 from humanpred_ros.geometry.solids import Box, Obstacle, Sphere, cylinder, planar_pose
 from humanpred_ros.geometry.urdf import read_mesh
+from humanpred_ros.motion.labels import checked_label
 from humanpred_ros.robot.arm import Arm
 from humanpred_ros.robot.clearance import nearest_contacts, shoulder_approach
 from humanpred_ros.robot.goals import Goal, tool_goal
@@ -48,15 +49,14 @@ class Place:
     """A place the person may reach for, whether or not anybody was ever seen to reach there.
 
     Raises:
-        SceneError: for a label that is no whole number, or a place that is not three finite numbers.
+        SceneError: for a label that is no text or whole number, or a place that is not three finite numbers.
     """
 
-    label: int  #: number by which messages call it; where a library has a class of reaches to it, that class's
+    label: str  #: by which messages call it; where a library has a class of reaches to it, that class's
     place_m: FloatArray  #: (3,) where the palm ends, world frame
 
     def __post_init__(self) -> None:
-        if isinstance(self.label, bool) or not isinstance(self.label, int):
-            raise SceneError(f"place: wanted a whole number as label, got {self.label!r:.60}")
+        object.__setattr__(self, "label", checked_label(self.label, SceneError))
         place = checked(f"place {self.label}: place_m", self.place_m, (3,), error=SceneError)
         object.__setattr__(self, "place_m", frozen(place))
 
@@ -195,7 +195,7 @@ def scene_of(file: SceneFile) -> Scene:
         obstacles=obstacles,
         T_world_human=planar_pose(*file.human.offset_m, float(file.human.angle("yaw"))),
         grid=VoxelGrid(file.grid.origin_m, file.grid.resolution_m, file.grid.shape) if file.grid else fitted_grid(arm),
-        places=tuple(Place(entry.label, np.array(entry.place_m)) for entry in file.places),
+        places=tuple(Place(str(entry.label), np.array(entry.place_m)) for entry in file.places),
         human_frame=file.human.frame or "",
     )
 

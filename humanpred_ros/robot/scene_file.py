@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated
 
 import yaml
-from pydantic import AfterValidator, BeforeValidator, Field, StrictInt, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, StrictInt, StrictStr, model_validator
 
 from humanpred_ros.errors import RobotError, SceneError
 from humanpred_ros.files import file_inside, read_yaml
@@ -202,7 +202,7 @@ class GridSection(Section):
 class PlaceSection(Section):
     """A place the person may reach for."""
 
-    label: StrictInt = Field(description="Whole number; where a library has a class of reaches to it, that class's")
+    label: StrictStr | StrictInt = Field(description="Its name, or that of the class of reaches to it")
     place_m: Place = Field(description="Where the palm ends, world frame (m)")
 
 

@@ -37,7 +37,7 @@ class StepRow:
     action: str
     t_s: float  #: data time of the occupancy it was computed on
     percent: float | None  #: share of the human's motion over by then
-    best_class: int | None  #: most probable class then, None without a posterior
+    best_class: str | None  #: most probable class then, None without a posterior
     best_probability: float | None
     costs: Mapping[str, float | None]  #: selection cost per goal, None where it has none
     chosen: str  #: goal, empty if none
@@ -95,7 +95,7 @@ class Recognised:
     Of several movements the first such one counts: a recorded reach may come with its return.
     """
 
-    true_class: int
+    true_class: str
     t_s: float | None
     percent: float | None
 
@@ -106,7 +106,7 @@ class Belief:
 
     from_s: float  #: first and last posterior that tell classes apart
     until_s: float
-    best_class: int  #: the most probable class at the end, and its probability
+    best_class: str  #: the most probable class at the end, and its probability
     probability: float
     since_s: float  #: since when it was the most probable one up to then
     since_percent: float | None  #: share of the recorded motion over by then
@@ -301,16 +301,16 @@ def _movements(run: Run) -> tuple[slice, ...]:
 
 def _recognised(run: Run, movements: tuple[slice, ...]) -> Recognised | None:
     """Return when the class the replayed motion is labelled with (`class/index`) became the most probable for good."""
-    found = re.fullmatch(r"(\d+)/\d+", run.facts.get("trajectory", ""))
-    if found is None or not len(run.posterior) or int(found[1]) not in run.posterior.labels:
+    label = run.facts.get("trajectory", "").rpartition("/")[0]
+    if not len(run.posterior) or label not in run.posterior.labels:
         return None
-    column = run.posterior.labels.index(int(found[1]))
+    column = run.posterior.labels.index(label)
     for movement in movements:
         since = run.posterior.most_probable_since(movement, column)
         if since < movement.stop:
             t_s = float(run.posterior.t_s[since])
-            return Recognised(int(found[1]), t_s, run.percent(t_s))
-    return Recognised(int(found[1]), None, None)
+            return Recognised(label, t_s, run.percent(t_s))
+    return Recognised(label, None, None)
 
 
 def _belief(run: Run, movement: slice) -> Belief:

@@ -60,7 +60,7 @@ class PosteriorTrack:
     """The class posterior after each posture."""
 
     t_s: FloatArray  #: (T,) strictly increasing
-    labels: tuple[int, ...]  #: of all C classes there were, ascending
+    labels: tuple[str, ...]  #: of all C classes there were, in `motion.label_order`
     #: (T, C); each row sums to 1 less the probability that the motion is of no class; 0 of a class that is not told of
     probability: FloatArray
     goals_m: FloatArray  #: (C, 3) goal place of each class, world frame; the last one told
@@ -93,7 +93,7 @@ class PosteriorTrack:
         other = np.flatnonzero(self.probability[movement].argmax(axis=1) != column)
         return int(movement.start) + (int(other[-1]) + 1 if len(other) else 0)
 
-    def at(self, t_s: float) -> tuple[int | None, float | None]:
+    def at(self, t_s: float) -> tuple[str | None, float | None]:
         """Return the most probable class and its probability by the last posterior up to `t_s`; None if none is."""
         k = int(np.searchsorted(self.t_s, t_s + 1e-9, side="right")) - 1
         if k < 0 or not self.telling[k]:
@@ -252,6 +252,18 @@ def lines_of(message: Any) -> tuple[FloatArray, FloatArray]:
             shade = 1.0 - colour.a * (1.0 - np.array([colour.r, colour.g, colour.b]))
             colours.append(np.tile(shade, (len(ends[-1]), 1)))
     return np.concatenate(ends), np.concatenate(colours)
+
+
+def posterior_of(message: Any) -> tuple[FloatArray, list[str], FloatArray]:
+    """Return the places (C, 3) of a posterior, their labels and probabilities (C,); old ones have numbers alone."""
+    texts = any(field.name == "label" for field in message.fields)
+    columns = point_cloud2_fields(message, ("x", "y", "z", "probability", "label" if texts else "class_id"))
+    places = np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    if texts:
+        labels = [name.decode(errors="replace") for name in columns["label"].tolist()]
+    else:
+        labels = [f"{number:.0f}" for number in columns["class_id"].tolist()]
+    return places, labels, columns["probability"].astype(np.float64)
 
 
 def occupied_of(message: Any) -> tuple[FloatArray, FloatArray]:

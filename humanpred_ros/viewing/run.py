@@ -19,6 +19,7 @@ from humanpred_ros.bags.reader import BagReader
 from humanpred_ros.errors import BagError, HumanPredError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.lattice import VoxelGrid
+from humanpred_ros.motion.labels import label_order
 from humanpred_ros.robot.robot_file import read_robot_file
 from humanpred_ros.robot.scene_file import read_scene_file, recorded_scene
 from humanpred_ros.viewing import recorded
@@ -287,13 +288,12 @@ class _Occupancies:
 
 
 def _posterior(entries: list[Entry], origin_ns: int) -> recorded.PosteriorTrack:
-    clouds = [recorded.cloud_of(entry.message, "class_id", "probability") for entry in entries]
-    told = [([int(label) for label in np.rint(labels)], places, p) for places, labels, p in clouds]
+    told = [recorded.posterior_of(entry.message) for entry in entries]
     # Goals may come and go; one that is not told of at a moment has no probability then.
-    place = {label: goal for labels, places, _ in told for label, goal in zip(labels, places, strict=True)}
-    all_labels = tuple(sorted(place))
+    place = {label: goal for places, labels, _ in told for label, goal in zip(labels, places, strict=True)}
+    all_labels = tuple(sorted(place, key=label_order))
     probability = np.zeros((len(told), len(all_labels)))
-    for row, (labels, _, p) in zip(probability, told, strict=True):
+    for row, (_, labels, p) in zip(probability, told, strict=True):
         row[[all_labels.index(label) for label in labels]] = p
     places = np.array([place[label] for label in all_labels]).reshape(-1, 3)
     return recorded.PosteriorTrack(_times(entries, origin_ns), all_labels, probability, places)

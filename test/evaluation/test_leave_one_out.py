@@ -139,13 +139,13 @@ def test_no_motion_of_the_class_is_learned_from() -> None:
 def test_the_motion_left_out_says_nothing_about_its_place() -> None:
     moved = tuple(m.with_postures(m.q + 0.2) if m.name == LEFT_OUT else m for m in library())
     a, b = reaching_without(LEFT_OUT, library()), reaching_without(LEFT_OUT, MotionLibrary("small", moved))
-    np.testing.assert_array_equal(a.places[10], b.places[10])
+    np.testing.assert_array_equal(a.places["10"], b.places["10"])
     np.testing.assert_array_equal(after_a_third(a), after_a_third(b))
 
 
 def test_the_class_has_its_place_among_the_others() -> None:
     goals = Places.of(reaching_without(LEFT_OUT, library()).places)
-    assert goals.labels == (0, 10, 20)
+    assert goals.labels == ("0", "10", "20")
     own = Places.of_ends(reach_ends(library(), HUMAN), without_motion=LEFT_OUT)
     np.testing.assert_allclose(goals.places_m, own.places_m)
 

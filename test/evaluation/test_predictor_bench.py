@@ -86,7 +86,7 @@ def test_any_number_of_places_can_be_told(library: MotionLibrary) -> None:
     people = People.of(library, 1)
     for count in (1, 8, 16):
         places = people.places(count)
-        assert places.labels == tuple(range(count))
+        assert places.labels == tuple(map(str, range(count)))
         apart = np.linalg.norm(places.places_m[:, None] - places.places_m, axis=-1) + np.eye(count)
         assert apart.min() > 0.001
         assert not places.out_of_reach(people.human, people.played[0].q[0])

@@ -45,7 +45,7 @@ class Recorder(Classifier):
 
     def __init__(self) -> None:
         self.learned: tuple[str, ...] = ()
-        self.labels: tuple[int, ...] = ()
+        self.labels: tuple[str, ...] = ()
         self.starts = 0
 
     def fit(self, library: MotionLibrary) -> Recorder:
@@ -89,7 +89,7 @@ def test_a_left_out_motion_is_not_learned_and_all_others_are(monkeypatch: pytest
     learned.clear()
     runs("class 20")
     assert [name for _, name, _ in learned] == [motion.name for motion in LIBRARY.of_class(20)]
-    assert {labels for *_, labels in learned} == {(0, 10)}
+    assert {labels for *_, labels in learned} == {("0", "10")}
     assert {frozenset(names) for names, *_ in learned} == {frozenset(n for n in everything if n[:2] != "20")}
 
 

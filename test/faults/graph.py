@@ -52,7 +52,7 @@ from humanpred_ros.robot.scene_file import read_scene_file
 
 _LIBRARY = "synthetic_reaches"
 #: Classes of the reaches, and the arm's goals where they end.
-_CLASSES, _GOALS = (3, 5), ("place 3", "place 5")
+_CLASSES, _GOALS = ("3", "5"), ("place 3", "place 5")
 #: Length of the replayed motion; pause at the end of each reach; way from one to the next, s. A sensor's noise.
 SECONDS, _PAUSE_S, _BETWEEN_S, _NOISE = 600.0, 1.0, 0.5, 1e-4
 #: Of the URDF's limits; slow, so that the arm is on its way for long.

@@ -66,12 +66,12 @@ def test_a_used_generator_is_not_passed_off_as_its_seed() -> None:
 
 
 def test_classes_are_recorded_in_turns(library: MotionLibrary) -> None:
-    labels = np.array([motion.label for motion in library]).reshape(12, 8)
+    labels = np.array([int(motion.label or 0) for motion in library]).reshape(12, 8)
     assert (np.sort(labels, axis=1) == np.arange(8)).all()
     assert len({tuple(row) for row in labels}) > 6  # shuffled, so that neither drift nor the motion before tells
     assert [motion.index for motion in library] == [k // 8 for k in range(96)]
     ascending = generate(motions_per_class=2, order="ascending")
-    assert [motion.label for motion in ascending] == [*range(8), *range(8)]
+    assert [motion.label for motion in ascending] == [*"01234567"] * 2
 
 
 def test_the_start_does_not_give_the_class_away(statistics: LibraryStatistics) -> None:
@@ -121,7 +121,7 @@ def test_palms_reach_their_own_goals(library: MotionLibrary) -> None:
     human, goals = HumanModel.kinect12(), np.array(ReachGeneratorConfig().goals_m)
     for motion in library:
         distance = np.linalg.norm(goals - goal_m(motion, human), axis=1)
-        assert distance.argmin() == motion.label
+        assert str(distance.argmin()) == motion.label
         assert distance.min() < 0.12
     assert not [flag for flag in flag_library(library) if flag.reason in DROP_REASONS]
 
@@ -153,7 +153,7 @@ def test_a_perfect_camera_leaves_nothing_out() -> None:
 def test_goals_and_their_number_are_free() -> None:
     goals = table_grid(columns=3, rows=1)
     small = generate(motions_per_class=2, goals_m=goals, name="synthetic_row", frame_id="camera")
-    assert (small.name, small.labels, small.frame_id, len(small)) == ("synthetic_row", (0, 1, 2), "camera", 6)
+    assert (small.name, small.labels, small.frame_id, len(small)) == ("synthetic_row", ("0", "1", "2"), "camera", 6)
     assert small.dof_names == KINECT12_DOFS
 
 

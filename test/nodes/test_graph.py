@@ -90,12 +90,12 @@ def test_the_true_class_is_recognised(bag: BagReader, motion: Motion) -> None:
     for fields in posteriors:
         assert 0.0 < fields["probability"].sum() <= 1.0 + 1e-5  # the rest is the probability of no class
     at_the_end_of_the_reach = posteriors[int(0.7 * len(motion))]
-    truth = fields_of(at_the_end_of_the_reach, LABEL)
+    truth = fields_of(at_the_end_of_the_reach, str(LABEL).encode())
     assert truth > 0.5
 
 
-def fields_of(fields: dict[str, NDArray[Any]], label: int) -> float:
-    return float(fields["probability"][fields["class_id"] == label][0])
+def fields_of(fields: dict[str, NDArray[Any]], label: bytes) -> float:
+    return float(fields["probability"][fields["label"] == label][0])
 
 
 @pytest.mark.core

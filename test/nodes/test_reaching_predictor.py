@@ -26,10 +26,10 @@ from predictor_client import SCENE, PredictorClient, goal_texts
 from humanpred_ros.nodes import conversions
 
 SHIPPED = REPOSITORY / "bags" / "synthetic_reaches"
-UNKNOWN, NEW_LABEL = 3, 33
+UNKNOWN, NEW_LABEL = "3", "33"
 
 
-def some_of(library: MotionLibrary, labels: set[int], per_class: int) -> MotionLibrary:
+def some_of(library: MotionLibrary, labels: set[str], per_class: int) -> MotionLibrary:
     kept = {motion.name for label in labels for motion in library.of_class(label)[:per_class]}
     return library.select(lambda motion: motion.name in kept)
 
@@ -39,7 +39,7 @@ def test_a_place_that_is_told_while_the_person_is_on_the_way_is_found(tmp_path: 
     learned = some_of(shipped, set(shipped.labels) - {UNKNOWN}, 4)
     library = write_library_bag(learned, tmp_path / "learned")
     places = Places.of_ends(reach_ends(shipped, human))
-    two = Places.of({label: places.by_label[label] for label in (1, 5)})
+    two = Places.of({label: places.by_label[label] for label in ("1", "5")})
     three = Places.of({**two.by_label, NEW_LABEL: places.by_label[UNKNOWN]})
     parameters = {"library": str(library), "places": goal_texts(two)}
     with PredictorClient(tmp_path, parameters, stop_after=20) as client:
@@ -83,7 +83,7 @@ def test_places_are_changed_refused_and_warned_about(tmp_path: Path) -> None:
             assert "wanted 'label x y z'" in reason
             assert entry in reason
         assert not client.set_parameter("reaching.weights", "baseline_0")[0], "all else is read-only"
-        client.set_places(Places.of({**own.by_label, 9: [6.0, 0.0, 1.0]}))
+        client.set_places(Places.of({**own.by_label, "9": [6.0, 0.0, 1.0]}))
         client.go_on(5)
         client.wait(lambda: "warning/place 9" in client.diagnostics[1], "the warning")
         assert client.diagnostics[0] == "predicting"
@@ -140,7 +140,7 @@ def test_the_demo_runs_with_it_and_with_the_23_dof_human(tmp_path: Path) -> None
     run = read_run(tmp_path / "run")
     assert run.facts["predictor"] == "reaching"
     assert run.facts["classifier"] == ""
-    assert run.posterior.labels == (0, 1, 2, 3)
+    assert run.posterior.labels == ("0", "1", "2", "3")
     assert run.posterior.probability[-1].argmax() == 1
     assert HumanModel(run.human_urdf).signature == HumanModel.mocap23().signature
     assert (tmp_path / "run" / "report.html").stat().st_size > 10_000

@@ -120,7 +120,7 @@ def test_start_forgets_and_refused_postures_leave_no_trace() -> None:
     np.testing.assert_array_equal(prediction.occupancy.probability, expected)
     assert prediction.occupancy.t_s == motion.t_s[24]
     assert prediction.posterior is not None
-    assert prediction.posterior.best == 20
+    assert prediction.posterior.best == "20"
 
 
 def test_standing_still_changes_nothing() -> None:

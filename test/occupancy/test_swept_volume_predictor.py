@@ -35,7 +35,7 @@ SMALL = VoxelGrid((0.0, 0.0, 0.0), 1.0, (5, 4, 3))
 class Told(Classifier):
     """Answers what it was told."""
 
-    def __init__(self, probability: FloatArray, labels: tuple[int, ...]) -> None:
+    def __init__(self, probability: FloatArray, labels: tuple[str, ...]) -> None:
         self.probability, self.labels, self.started = probability, labels, 0
 
     def fit(self, library: MotionLibrary) -> Told:
@@ -67,7 +67,9 @@ def predictor_of(model: TrainedModel, T_world_human: np.ndarray) -> SweptVolumeP
 def test_sum_law_and_bounds(masks: np.ndarray, weights: np.ndarray) -> None:
     masks[:, 0, 0, 0] = True
     posterior = weights / weights.sum()
-    predictor = SweptVolumePredictor(Told(posterior, (3, 1, 2)), dict(zip((3, 1, 2), masks, strict=True)), SMALL)
+    predictor = SweptVolumePredictor(
+        Told(posterior, ("3", "1", "2")), dict(zip(("3", "1", "2"), masks, strict=True)), SMALL
+    )
     occupancy = predictor.update(np.zeros(12), 0.5).occupancy
     p = occupancy.probability
     assert p.dtype == np.float32
@@ -83,10 +85,10 @@ def test_certainty_gives_the_swept_volume_of_that_class() -> None:
     gmm = trained().classifier("gmm")
     assert isinstance(gmm, GmmClassifier)
     voxeliser = BodyVoxeliser(HUMAN, GRID, np.eye(4))
-    swept = {label: swept_volume(voxeliser, q) for label, q in zip((0, 10, 20), gmm.expected_q, strict=True)}
+    swept = {label: swept_volume(voxeliser, q) for label, q in zip(("0", "10", "20"), gmm.expected_q, strict=True)}
     assert predictor_of(trained(), np.eye(4)).swept_voxels == {label: mask.sum() for label, mask in swept.items()}
     for k, label in enumerate(swept):
-        predictor = SweptVolumePredictor(Told(np.eye(3)[k], (0, 10, 20)), swept, GRID)
+        predictor = SweptVolumePredictor(Told(np.eye(3)[k], ("0", "10", "20")), swept, GRID)
         np.testing.assert_array_equal(predictor.update(np.zeros(12), 0.0).occupancy.probability, swept[label])
 
 
@@ -99,7 +101,7 @@ def test_the_sum_law_holds_along_a_motion() -> None:
         assert prediction.posterior is not None
         expected = sum(prediction.posterior.of(label) * voxels for label, voxels in predictor.swept_voxels.items())
         assert prediction.occupancy.probability.sum(dtype=np.float64) == pytest.approx(expected, rel=1e-5)
-    assert prediction.posterior.best == 20
+    assert prediction.posterior.best == "20"
 
 
 def test_earlier_predictions_do_not_change() -> None:

@@ -127,8 +127,8 @@ def test_true_goals_are_more_probable_than_by_the_prior_weights() -> None:
 
 
 def test_nothing_is_learned_of_a_label_left_out() -> None:
-    rest = library().select(lambda motion: motion.label != 10)
-    without = fit_place_model(lessons(), HUMAN, CONFIG, without=(10,))
+    rest = library().select(lambda motion: motion.label != "10")
+    without = fit_place_model(lessons(), HUMAN, CONFIG, without=("10",))
     anew = fit_place_model(reach_lessons(rest, HUMAN, CONFIG), HUMAN, CONFIG)
     np.testing.assert_allclose(without.weights, anew.weights, rtol=1e-6)
     assert without.ends is not None
@@ -140,7 +140,7 @@ def test_nothing_is_learned_of_a_label_left_out() -> None:
 
 def test_one_class_or_no_labels_teach_nothing_and_that_is_no_error() -> None:
     unlabelled = [Motion(m.t_s, m.q, m.dof_names, None, k) for k, m in enumerate(library().motions[:3])]
-    for some in (library().select(lambda motion: motion.label == 0), MotionLibrary("some", tuple(unlabelled))):
+    for some in (library().select(lambda motion: motion.label == "0"), MotionLibrary("some", tuple(unlabelled))):
         assert fit_place_model(reach_lessons(some, HUMAN, CONFIG), HUMAN, CONFIG).n_motions == 0
 
 
@@ -182,7 +182,7 @@ def test_impossible_settings_are_refused(setting: dict[str, float]) -> None:
 
 
 #: The class left out whole.
-UNSEEN = 6
+UNSEEN = "6"
 
 
 @pytest.mark.parametrize("name", ["library_a", "library_b"])

@@ -34,8 +34,8 @@ LIBRARY = small_library(3, 6, 40, there_and_back=True)
 
 
 def test_places_cannot_be_changed_and_are_found_by_label() -> None:
-    np.testing.assert_array_equal(PLACES.by_label[3], [0.4, -0.2, 0.9])
-    assert list(PLACES.by_label) == [7, 3]
+    np.testing.assert_array_equal(PLACES.by_label["3"], [0.4, -0.2, 0.9])
+    assert list(PLACES.by_label) == ["7", "3"]
     with pytest.raises(ValueError, match="read-only"):
         PLACES.places_m[0, 0] = 1.0
 
@@ -71,7 +71,7 @@ def test_only_rigid_transforms_move_places(T: np.ndarray) -> None:
 
 def test_a_class_has_its_place_where_the_hands_of_its_motions_turn() -> None:
     places = Places.of_ends(reach_ends(LIBRARY, HUMAN))
-    assert places.labels == (0, 10, 20)
+    assert places.labels == ("0", "10", "20")
     for label in places.labels:
         turns = [HUMAN.forward(motion.q[20])["right_palm"] for motion in LIBRARY.of_class(label)]
         assert np.linalg.norm(np.median(turns, axis=0) - places.by_label[label]) < 0.02
@@ -83,8 +83,8 @@ def test_a_motion_left_out_has_no_say_in_its_place_and_others_stay() -> None:
     found = Places.of_ends(reach_ends(LIBRARY, HUMAN), without_motion=gone)
     np.testing.assert_allclose(found.places_m, Places.of_ends(reach_ends(rest, HUMAN)).places_m, atol=1e-12)
     whole = Places.of_ends(reach_ends(LIBRARY, HUMAN))
-    np.testing.assert_array_equal(found.by_label[0], whole.by_label[0])
-    assert (found.by_label[10] != whole.by_label[10]).any()
+    np.testing.assert_array_equal(found.by_label["0"], whole.by_label["0"])
+    assert (found.by_label["10"] != whole.by_label["10"]).any()
 
 
 def test_a_motion_that_runs_off_does_not_move_its_place() -> None:
@@ -101,7 +101,7 @@ def test_a_motion_that_runs_off_does_not_move_its_place() -> None:
 
 
 def test_a_class_without_a_motion_left_is_an_error_not_a_guess() -> None:
-    single = LIBRARY.select(lambda motion: motion.label != 20 or motion.index == 0)
+    single = LIBRARY.select(lambda motion: motion.label != "20" or motion.index == 0)
     with pytest.raises(LibraryFormatError, match="place 20"):
         Places.of_ends(reach_ends(single, HUMAN), without_motion="20/0")
     with pytest.raises(HumanModelError):
@@ -120,9 +120,9 @@ def test_places_out_of_reach_are_named_with_their_distance(human: HumanModel) ->
     limit = float(arm) + LEAN_M
     places = Places((1, 2, 3), shoulder + np.array([[limit + 0.01, 0, 0], [0, limit - 0.01, 0], [0, 0, -5.0]]))
     found = places.out_of_reach(human, q)
-    assert list(found) == [1, 3]
-    assert "place 3 is 5.00 m" in found[3]
-    assert f"gets {limit:.2f} m far" in found[1]
+    assert list(found) == ["1", "3"]
+    assert "place 3 is 5.00 m" in found["3"]
+    assert f"gets {limit:.2f} m far" in found["1"]
 
 
 @pytest.mark.parametrize("name", ["library_a", "library_b"])
@@ -144,11 +144,11 @@ SCENE = load_scene("four_places")
 
 
 def test_places_are_brought_into_the_trackers_frame() -> None:
-    given_m = {3: np.array([-0.22, -0.67, 0.8]), 12: np.array([0.0, 0.5, 1.0])}
+    given_m = {"3": np.array([-0.22, -0.67, 0.8]), "12": np.array([0.0, 0.5, 1.0])}
     by_text = places_from_text(["3 -0.22 -0.67 0.80", "  12   0 .5 1e0 "], SCENE.T_world_human)
     for places in (by_text, places_in_world(given_m, SCENE.T_world_human)):
         assert places is not None
-        assert places.labels == (3, 12)
+        assert places.labels == ("3", "12")
         in_world = places.moved(SCENE.T_world_human).places_m
         np.testing.assert_allclose(in_world, list(given_m.values()), atol=1e-12)
 
@@ -159,11 +159,11 @@ def test_no_places_are_none() -> None:
         assert places_from_text(entries, SCENE.T_world_human) is None
 
 
-@pytest.mark.parametrize(
-    "entry", ["3", "3 0.1 0.2", "3 0.1 0.2 0.3 0.4", "cup 0.1 0.2 0.3", "3.5 0.1 0.2 0.3", "3 a b c", "3 0.1 nan 0.3"]
-)
+@pytest.mark.parametrize("entry", ["3", "3 0.1 0.2", "a/b 0.1 0.2 0.3", "3 a b c", "3 0.1 nan 0.3", "3 1_0 0.1 0.3"])
 def test_an_entry_that_says_something_else_is_refused_with_what_was_wanted(entry: str) -> None:
-    with pytest.raises(UsageError, match=r"wanted 'label x y z'.* as in '3 -0\.22 -0\.67 0\.80', got"):
+    with pytest.raises(
+        UsageError, match=r"wanted 'label x y z'.* as in 'screws -0\.22 -0\.67 0\.80', got|label: wanted"
+    ):
         places_from_text(["1 0 0 1", entry], SCENE.T_world_human)
 
 

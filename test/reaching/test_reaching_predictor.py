@@ -52,8 +52,8 @@ def reach_to(place: FloatArray, n: int = 40) -> FloatArray:
     return q
 
 
-@pytest.mark.parametrize("label", [7, 3, 11])
-def test_the_goal_is_found_and_what_the_reach_sweeps_is_expected(label: int) -> None:
+@pytest.mark.parametrize("label", ["7", "3", "11"])
+def test_the_goal_is_found_and_what_the_reach_sweeps_is_expected(label: str) -> None:
     subject = predictor()
     place = subject.places[label]
     q = reach_to(place)
@@ -63,7 +63,7 @@ def test_the_goal_is_found_and_what_the_reach_sweeps_is_expected(label: int) -> 
         prediction = subject.update(posture, k / 30.0)
         if k == 26:
             assert prediction.posterior is not None
-            assert prediction.posterior.labels == (7, 3, 11)
+            assert prediction.posterior.labels == ("7", "3", "11")
             assert prediction.posterior.labels[int(np.argmax(prediction.posterior.probability))] == label
             swept, now = voxeliser.mask(q[k:]), voxeliser.mask(posture)
             p = prediction.occupancy.probability
@@ -81,19 +81,19 @@ def test_a_goal_added_while_reaching_is_weighed_at_once() -> None:
     subject.start()
     for k, posture in enumerate(q[:25]):
         before = subject.update(posture, k / 30.0)
-    subject.set_places({**subject.places, 42: new})
+    subject.set_places({**subject.places, "42": new})
     after = subject.update(q[25], 25 / 30.0)
     assert before.posterior is not None
     assert after.posterior is not None
-    assert 42 not in before.posterior.labels
-    assert after.posterior.labels[int(np.argmax(after.posterior.probability))] == 42
+    assert "42" not in before.posterior.labels
+    assert after.posterior.labels[int(np.argmax(after.posterior.probability))] == "42"
     hand = GRID.flat_index(HUMAN.forward(q[-1])[HAND])
     flat_before, flat_after = (r.occupancy.probability.ravel()[hand] for r in (before, after))
     assert flat_after > flat_before + 0.2
-    subject.set_places({label: place for label, place in subject.places.items() if label not in (42, 3)})
+    subject.set_places({label: place for label, place in subject.places.items() if label not in ("42", "3")})
     fewer = subject.update(q[26], 26 / 30.0)
     assert fewer.posterior is not None
-    assert fewer.posterior.labels == (7, 11)
+    assert fewer.posterior.labels == ("7", "11")
 
 
 def test_improbable_places_are_given_no_futures_and_the_others_theirs() -> None:
@@ -157,7 +157,7 @@ def test_somebody_at_rest_may_reach_for_any_place_and_a_reach_is_noticed() -> No
     for k, posture in enumerate(q):
         moving = subject.update(posture, (40 + k) / 30.0)
     assert moving.posterior is not None
-    assert moving.posterior.labels[int(np.argmax(moving.posterior.probability))] == 3
+    assert moving.posterior.labels[int(np.argmax(moving.posterior.probability))] == "3"
 
 
 def test_at_rest_only_the_present_posture_counts() -> None:

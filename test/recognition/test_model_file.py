@@ -230,7 +230,7 @@ def test_an_interrupted_write_leaves_the_old_file(saved: Path, tmp_path: Path, m
 
 def test_folders_are_made_and_impossible_places_named(tmp_path: Path) -> None:
     save_model(trained(), tmp_path / "new" / "folder" / "model.npz")
-    assert load_model(tmp_path / "new" / "folder" / "model.npz", HUMAN).library.labels == (0, 10)
+    assert load_model(tmp_path / "new" / "folder" / "model.npz", HUMAN).library.labels == ("0", "10")
     (tmp_path / "file").write_text("")
     with pytest.raises(ModelFileError, match="cannot be made"):
         save_model(trained(), tmp_path / "file" / "model.npz")
@@ -305,7 +305,7 @@ def test_a_model_is_found_again_by_what_it_was_trained_on(tmp_path: Path, monkey
     ]
     assert len({first, *others}) == 4
     first.write_bytes(b"damaged")
-    assert load_model(model_of(library, HUMAN, forest, folder=tmp_path), HUMAN).library.labels == (0, 10)
+    assert load_model(model_of(library, HUMAN, forest, folder=tmp_path), HUMAN).library.labels == ("0", "10")
 
 
 def test_only_the_latest_models_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

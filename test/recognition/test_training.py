@@ -93,7 +93,7 @@ def test_what_does_not_suffice_is_refused() -> None:
     library = small_library()
     for name in ("forest", "gmm"):
         with pytest.raises(LibraryFormatError, match="two classes"):
-            train_model(library.select(lambda m: m.label == 0), HUMAN, {name: None})
+            train_model(library.select(lambda m: m.label == "0"), HUMAN, {name: None})
     renamed = replace(library, motions=tuple(replace(m, dof_names=("elbow", *m.dof_names[1:])) for m in library))
     with pytest.raises(HumanModelError, match="elbow"):
         train_model(renamed, HUMAN, GMM)

@@ -169,7 +169,7 @@ def test_a_step_without_any_way_is_a_step_and_a_hold(full: Run) -> None:
 def test_recognition_counts_from_when_it_lasted(full: Run, full_summary: RunSummary) -> None:
     recognised = full_summary.recognised
     assert recognised is not None
-    assert recognised.true_class == 3
+    assert recognised.true_class == "3"
     best = full.posterior.probability.argmax(axis=1)
     k = int(np.flatnonzero(full.posterior.t_s == recognised.t_s)[0])
     assert (best[k:] == 3).all()

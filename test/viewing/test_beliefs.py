@@ -31,7 +31,7 @@ def printed(summary: RunSummary) -> str:
 def test_what_was_believed_in_the_end_is_told_with_its_beginning(full: Run, full_summary: RunSummary) -> None:
     (belief,) = full_summary.beliefs
     of_reach = full.posterior.probability[full.posterior.t_s <= REACH_S + 1e-6]
-    assert belief.best_class == full.posterior.labels[int(of_reach[-1].argmax())] == 3
+    assert belief.best_class == full.posterior.labels[int(of_reach[-1].argmax())] == "3"
     assert belief.probability == of_reach[-1, 3]
     assert belief.until_s == pytest.approx(REACH_S)
     k = int(np.flatnonzero(full.posterior.t_s == belief.since_s)[0])
@@ -58,9 +58,9 @@ def test_movements_with_rest_between_are_told_apart(full: Run) -> None:
     run = dataclasses.replace(full, posterior=dataclasses.replace(full.posterior, probability=probability))
     summary = analyse(run).summary
     reach, back = summary.beliefs
-    assert (reach.best_class, reach.rather_unknown) == (3, False)
+    assert (reach.best_class, reach.rather_unknown) == ("3", False)
     assert 0.3 <= reach.from_s <= reach.since_s < reach.until_s <= 0.9
-    assert (back.best_class, back.rather_unknown) == (6, True)
+    assert (back.best_class, back.rather_unknown) == ("6", True)
     assert back.unknown == pytest.approx(1.0 - 0.018)
     assert back.from_s == back.since_s >= 1.1
     assert summary.recognised is not None

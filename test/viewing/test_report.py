@@ -203,7 +203,9 @@ def test_probability_of_no_class_is_shown_where_there_is_any(make_run: Callable[
 
 def test_a_motion_that_is_rather_of_no_class_is_bad_news(full_summary: RunSummary) -> None:
     (first,) = full_summary.beliefs
-    second = dataclasses.replace(first, best_class=7, probability=0.3, unknown=0.6, unknown_max=0.7, unknown_max_s=1.2)
+    second = dataclasses.replace(
+        first, best_class="7", probability=0.3, unknown=0.6, unknown_max=0.7, unknown_max_s=1.2
+    )
     worse = dataclasses.replace(full_summary, beliefs=(first, second), recognised=None)
     (tile,) = [figure for figure in key_figures(worse) if figure.name == "probability of no known class"]
     assert (tile.value, tile.alarming) == ("0 %, 60 %", True)
