@@ -13,6 +13,8 @@ body's surface is thinner than a voxel and would blur if voxels were moved.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -50,6 +52,17 @@ class ForecastSettings(SweepSettings):
         low=1e-3,
         high=1e3,
     )
+
+
+class _Present(NamedTuple):
+    """What futures begin with."""
+
+    t_s: float
+    body: NDArray[np.bool_]  #: (X, Y, Z) where the body is
+    now: FloatArray  #: (P, 3, 4) poses of its parts, library frame
+    T_grid_library: FloatArray  #: (4, 4) from the library's frame to the grid in units of voxels
+    chosen: NDArray[np.int64]  #: (F,) exemplars that are followed
+    probability: FloatArray  #: (F,) of each
 
 
 class ForecastPredictor(Predictor):
@@ -106,11 +119,11 @@ class ForecastPredictor(Predictor):
         n_moments = MOMENTS * np.maximum(np.diff(self._exemplars.first) - 1, 1)
         self._moment_s = self._exemplars.duration_s / n_moments
         self._room: SliceRoom | None = None
-        self._last: tuple[FloatArray, float] | None = None
+        self._last: _Present | None = None
         # What is compiled or put in order at its first use is used here: the first posture must not wait for it.
         _ = forest.model.forest.leaf_members
-        start = forest.model.exemplars.q[0]
-        self._probability(start, np.eye(4), *self._drawn(np.ones(len(self._futures.label))))
+        start, drawn = forest.model.exemplars.q[0], self._drawn(np.ones(len(self._futures.label)))
+        self._probability(self._present(start, 0.0, np.eye(4), drawn))
 
     @classmethod
     def from_request(cls, request: PredictorRequest) -> ForecastPredictor:
@@ -129,11 +142,9 @@ class ForecastPredictor(Predictor):
     def update(self, q: FloatArray, t_s: float) -> Prediction:
         """Take one posture (D,) stamped `t_s`; raises what the classifier raises, and then changes nothing."""
         posterior = self._recogniser.update(q, t_s)
-        chosen, probability = self._drawn(self._forest.exemplar_weights())
-        self._last = np.array(q), t_s
         T_library_tracker = self._forest.alignment
-        p = self._probability(q, T_library_tracker, chosen, probability)
-        return Prediction(Occupancy(self.grid, p, t_s), posterior, T_library_tracker)
+        self._last = self._present(q, t_s, T_library_tracker, self._drawn(self._forest.exemplar_weights()))
+        return Prediction(Occupancy(self.grid, self._probability(self._last), t_s), posterior, T_library_tracker)
 
     def in_time(self, edges_s: FloatArray) -> OccupancyInTime | None:
         """Return when the futures touch which voxels, each in the time its motion took; None where that is not known.
@@ -142,31 +153,26 @@ class ForecastPredictor(Predictor):
         """
         if self._last is None or not np.isfinite(self._moment_s).all():
             return None
-        q, t_s = self._last
-        voxels, parts = self._voxels, self._voxels.parts
+        present, voxels, parts = self._last, self._voxels, self._voxels.parts
         if self._room is None or self._room.bits.shape[1] != len(edges_s) - 1:
             self._room = SliceRoom.of(self.grid.size, len(edges_s) - 1)
-        chosen, probability = self._drawn(self._forest.exemplar_weights())
-        T_library_tracker = self._forest.alignment
-        now = T_library_tracker @ voxels.human.link_poses(q)[parts.link]
         follow_in_time(
-            chosen,
-            np.ascontiguousarray(now[:, :3]),
+            present.chosen,
+            present.now,
             self._futures.ways,
             self._moment_s,
-            np.ones(len(chosen)),
             np.asarray(edges_s, dtype=np.float64),
             self.settings.kept,
             self.settings.fade,
-            voxels.T_grid_human @ np.linalg.inv(T_library_tracker),
+            present.T_grid_library,
             parts.points,
             parts.first,
             voxels.balls,
             self.grid.shape,
             self._room,
         )
-        touched, p = collect_slices(probability, voxels.body(q), self.settings.spread, self._room)
-        return OccupancyInTime(self.grid, edges_s, touched, p, t_s)
+        touched, p = collect_slices(present.probability, present.body, self.settings.spread, self._room)
+        return OccupancyInTime(self.grid, edges_s, touched, p, present.t_s)
 
     def futures(self, q: FloatArray) -> list[tuple[float, FloatArray]]:
         """Return the ways that the hands of a person in posture (D,), updated with last, may go, for people to see.
@@ -192,25 +198,29 @@ class ForecastPredictor(Predictor):
         futures, c = self._futures, self.settings
         return kernels.draw(weight, futures.label, futures.n_classes, c.n_futures, c.least_share)
 
-    def _probability(
-        self, q: FloatArray, T_library_tracker: FloatArray, chosen: NDArray[np.int64], probability: FloatArray
-    ) -> Float32Array:
-        """Return the grid of probabilities that follow from posture (D,) and the exemplars chosen (F,)."""
+    def _present(
+        self, q: FloatArray, t_s: float, T_library_tracker: FloatArray, drawn: tuple[NDArray[np.int64], FloatArray]
+    ) -> _Present:
+        voxels = self._voxels
+        now = T_library_tracker @ voxels.human.link_poses(q)[voxels.parts.link]
+        T_grid_library = voxels.T_grid_human @ np.linalg.inv(T_library_tracker)
+        return _Present(t_s, voxels.body(q), np.ascontiguousarray(now[:, :3]), T_grid_library, *drawn)
+
+    def _probability(self, present: _Present) -> Float32Array:
+        """Return the grid of probabilities that follow from the present and the exemplars chosen."""
         voxels, parts = self._voxels, self._voxels.parts
-        body = voxels.body(q)
-        now = T_library_tracker @ voxels.human.link_poses(q)[parts.link]
         kernels.follow(
-            chosen,
-            np.ascontiguousarray(now[:, :3]),
+            present.chosen,
+            present.now,
             self._futures.ways,
             self.settings.kept,
             self.settings.fade,
-            voxels.T_grid_human @ np.linalg.inv(T_library_tracker),
+            present.T_grid_library,
             parts.points,
             parts.first,
             voxels.balls,
             self.grid.shape,
             voxels.touched,
         )
-        voxels.add(probability)
-        return voxels.collected(body)
+        voxels.add(present.probability)
+        return voxels.collected(present.body)

@@ -57,7 +57,6 @@ def follow_in_time(
     now: FloatArray,
     ways: Ways,
     moment_s: FloatArray,
-    pace: FloatArray,
     edges: FloatArray,
     kept: float,
     fade: float,
@@ -70,9 +69,10 @@ def follow_in_time(
 ) -> None:
     """Set bit i of every voxel and slice in which future i touches it; else as `future_kernels.follow`.
 
+    Each future takes the time that its motion took: how much that differs from person to person is in the library.
+
     Args:
         moment_s: (K,) seconds between two moments of each motion.
-        pace: (F,) how many times as quickly as recorded each future is gone through.
     """
     index = np.empty(most_in_a_round(rounds), np.uint32)
     turn, R, pose, M = np.empty(3), np.empty((3, 3)), np.empty((3, 4)), np.empty((3, 4))
@@ -83,7 +83,6 @@ def follow_in_time(
         k = np.searchsorted(ways.begin, e, side="right") - 1
         present_moment = (e - ways.begin[k]) * MOMENTS
         fade_moments = fade * max(1, (ways.begin[k + 1] - ways.begin[k] - 1) * MOMENTS)
-        second = pace[i] / moment_s[k]  # in moments
         for p in range(len(now)):
             exemplar = ways.present[e, p]
             turn_between(exemplar, now[p], turn)
@@ -93,7 +92,7 @@ def follow_in_time(
                 lag = ways.moment[n] - present_moment
                 if lag <= 0:
                     continue
-                until_s = lag / second
+                until_s = lag * moment_s[k]
                 _mark(M, since_s, until_s, mark, bit, edges, points, rounds[p], balls[p], per_voxel, shape, index, room)
                 turned_pose(
                     ways.pose[n], exemplar, now[p], turn, kept + (1.0 - kept) * np.exp(-lag / fade_moments), R, pose
