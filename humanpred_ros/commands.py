@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from rich.console import Console
 from rich.markup import escape
@@ -70,6 +70,15 @@ class ReportSettings(Settings):
 
     run: Path = setting(..., "folder of the run", positional=True)
     out: Path | None = setting(None, "HTML file; none: report.html in the run's folder")
+    figures: Path | None = setting(None, "folder to write every plot to, one file each, and the decisions as CSV")
+    format: Literal["pdf", "png", "svg"] = setting("pdf", "of these files")
+    width: float = setting(
+        7.0,
+        "of these plots; a page of most journals is 7 wide; letters have 6 points then",
+        unit="in",
+        low=6.0,
+        high=40.0,
+    )
     namespace: str | None = setting(None, NAMESPACE)
 
 
@@ -79,7 +88,13 @@ def report(settings: ReportSettings, console: Console) -> int:
     from humanpred_ros.viewing.report import report_run
 
     out = settings.out or settings.run / "report.html"
-    print_summary(report_run(settings.run, out, settings.namespace), console)
+    summary = report_run(settings.run, out, settings.namespace)
+    print_summary(summary, console)
+    if settings.figures is not None:
+        from humanpred_ros.viewing.saved_figures import save_figures
+
+        save_figures(settings.run, settings.figures, settings.format, settings.width, settings.namespace)
+        console.print(f"figures {settings.figures}")
     console.print(f"report  {out}")
     return 0
 

@@ -17,11 +17,14 @@ VOXEL_GRID = "human_occupancy/voxel_grid"
 OCCUPANCY_MARKERS = "human_occupancy/markers"
 FUTURES = "human_occupancy/futures"
 HUMAN_GOALS = "human_goals"
+#: The same as numbers with names (JointState), for plots and for `ros2 topic echo`.
+POSTERIOR = "human_goals/posterior"
 JOINT_STATES = "joint_states"
 TRAJECTORY = "r_arm_controller/joint_trajectory"
 #: In front of the planner's own topics and services.
 PLANNER = "stomp_planner"
 DECISION = "stomp_planner/decision"
+COSTS = "stomp_planner/costs"
 CANDIDATES = "stomp_planner/candidates"
 ROLLOUTS = "stomp_planner/rollouts"
 #: Solids and a cloud of points that come and go, as anybody tells the planner; and what it knows of the scene.

@@ -43,8 +43,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table as ScreenTable
 from rich.text import Text
 
+from humanpred_ros import __version__
 from humanpred_ros.errors import UsageError, printable
-from humanpred_ros.evaluation.outputs import check_writable, machine_facts, write_csv, write_json, write_plot
+from humanpred_ros.evaluation.outputs import check_writable, machine_facts, plain, write_csv, write_json, write_plot
 from humanpred_ros.motion.library_io import DEFAULT_FRAME_PERIOD_S, load_library
 from humanpred_ros.motion.motion import MotionLibrary
 from humanpred_ros.resources import locate
@@ -207,7 +208,7 @@ def present(settings: AnySettings, console: Console, measure: Callable[[AnySetti
         )
         _say_where(console, "figures", settings.json)
     if settings.csv is not None:
-        write_csv(settings.csv, ("table", "record", "figure", "unit", "value"), _csv_rows(report))
+        write_csv(settings.csv, ("table", "record", "figure", "unit", "value"), _csv_rows(report, settings))
         _say_where(console, "tables", settings.csv)
     if settings.plot is not None and report.draw is not None:
         write_plot(settings.plot, report.draw)
@@ -299,12 +300,14 @@ def _longest_word(text: str) -> int:
     return max(map(cell_len, text.split()), default=0)
 
 
-def _csv_rows(report: Report) -> Iterator[tuple[str, Any, str, str, Any]]:
+def _csv_rows(report: Report, settings: OutputSettings) -> Iterator[tuple[str, Any, str, str, Any]]:
     for table in report.tables:
         name, *figures = table.columns
         for record in table.records:
             for column in figures:
                 yield table.title, name.value(record), column.title.strip(), column.unit, column.value(record)
+    for what, value in {"version": __version__, **plain(settings)}.items():
+        yield "made with", what, "", "", value
 
 
 def _say(console: Console, text: str, style: str | None = None) -> None:

@@ -6,6 +6,7 @@ import math
 import time
 from dataclasses import replace
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 
@@ -68,6 +69,7 @@ class CommandingNode(GraphNode):
         self._looked_s = time.monotonic()
         self.commander = commander(self, settings.command_by, settings.controller, self.on_failed)
         self.decision_publisher = self.create_publisher(DiagnosticArray, topics.DECISION, qos.SENSOR_PUBLISHER)
+        self.cost_publisher = self.create_publisher(JointState, topics.COSTS, qos.SENSOR_PUBLISHER)
         self.pictures = PlanPictures(self, replanner.tool_path)
         self.hardware_id = self.resolve_topic_name(topics.TRAJECTORY).rpartition("/")[0]
         age_s = math.inf if settings.lossless else settings.max_arm_age_s
@@ -234,6 +236,9 @@ class CommandingNode(GraphNode):
             kind = (decision.action, kind_of(decision.reason), decision.chosen)
             self.tell(kind, f"t {decision.stamp_s:5.2f} s  {decision.summary()}")
         self.decision_publisher.publish(conversions.decision_message(decision, stamp_ns, compute_ms))
+        if decision.goals:
+            costs = np.array([goal.selection_cost for goal in decision.goals])
+            self.cost_publisher.publish(conversions.joint_state([g.name for g in decision.goals], costs, stamp_ns))
         self.pictures.show(decision, self.replanner.rollouts, conversions.time_message(stamp_ns))
 
     def _silent(self, now_s: float) -> str:

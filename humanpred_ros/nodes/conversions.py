@@ -44,7 +44,10 @@ def stamp_ns(stamp: Time | Duration) -> int:
 
 
 def joint_state(names: Sequence[str], q: FloatArray, t_ns: int, frame_id: str = "", v: FloatArray | None = None) -> Any:
-    """Return a JointState with the positions `q` (D,) and, where given, velocities `v` (D,)."""
+    """Return a JointState with the positions `q` (D,) and, where given, velocities `v` (D,).
+
+    It is also the message for numbers with names, as costs by task: programs that plot show it by the names.
+    """
     message = JointState(name=list(names), position=array.array("d", q))
     if v is not None:
         message.velocity = array.array("d", v)

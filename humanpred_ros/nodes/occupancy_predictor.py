@@ -162,6 +162,7 @@ class OccupancyPredictorNode(GraphNode):
 
         self.occupancies = OccupancyPublisher(self, 1 if settings.lossless else settings.copies)
         self.goal_publisher = self.create_publisher(PointCloud2, topics.HUMAN_GOALS, qos.SENSOR_PUBLISHER)
+        self.posterior_publisher = self.create_publisher(JointState, topics.POSTERIOR, qos.SENSOR_PUBLISHER)
         self.marker_publisher = self.create_publisher(MarkerArray, topics.OCCUPANCY_MARKERS, qos.MARKERS)
         self.future_publisher = self.create_publisher(MarkerArray, topics.FUTURES, qos.MARKERS)
         self.grid_publisher = self.create_publisher(String, topics.VOXEL_GRID, qos.LATCHED)
@@ -353,6 +354,8 @@ class OccupancyPredictorNode(GraphNode):
             T = T @ np.linalg.inv(prediction.T_library_tracker)
         goals_m = self.goals_m @ T[:3, :3].T + T[:3, 3]
         self.goal_publisher.publish(conversions.goals_cloud(goals_m, posterior.labels, posterior.probability, stamp_ns))
+        names = [f"class {label}" for label in posterior.labels]
+        self.posterior_publisher.publish(conversions.joint_state(names, np.asarray(posterior.probability), stamp_ns))
 
     def _look_for_warnings(self, q: FloatArray, stamp_ns: int) -> None:
         """Warn of places told that this person does not get to, of a clock that is behind, and of a moved tracker."""

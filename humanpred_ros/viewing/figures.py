@@ -29,12 +29,12 @@ CAUTION = "#b7791f"
 
 #: Hues for goals that are named after a colour: a reader expects the red cup to be red.
 _NAMED = {
-    "red": "#cc3a2b",
-    "blue": "#2b6cb0",
-    "green": "#2f855a",
-    "orange": "#dd8b1f",
-    "yellow": "#b7950b",
-    "purple": "#7d4f9e",
+    "red": "#bd1422",
+    "blue": "#3e77d0",
+    "green": "#39ab58",
+    "orange": "#d05f0a",
+    "yellow": "#b9b03f",
+    "purple": "#9e0895",
     "black": "#1f2933",
     "white": "#9aa5b1",
     "grey": "#7b8794",
@@ -42,9 +42,9 @@ _NAMED = {
 }
 #: Okabe and Ito's palette without its yellow, which is invisible on white; order by contrast between neighbours.
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#5c4b8a", "#4d4d4d")
-#: Classes of motions: other colours than those of goals, which stand beside them (Tol's muted ones, dark and light in
-#: turn).
-CLASSES = ("#332288", "#999933", "#117733", "#44aa99", "#882255", "#cc6677", "#aa4499", "#6699cc")
+#: Classes of motions: other colours than those of goals, which stand beside them (Tol's muted ones; those with the same
+#: dashes differ in lightness).
+CLASSES = ("#332288", "#117733", "#882255", "#aa4499", "#999933", "#44aa99", "#cc6677", "#6699cc")
 #: Second cue beside colour, for print in grey and for more series than colours.
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")

@@ -146,7 +146,7 @@ class Plot(NamedTuple):
 
 
 #: The report's plots by key. Title and caption are the function's docstring; a plot without data says so.
-_PLOTS: dict[str, Callable[[Analysis], Figure]] = {
+PLOTS: dict[str, Callable[[Analysis], Figure]] = {
     "top-view": top_view_plot,
     "posterior": posterior_plot,
     "goal-costs": goal_costs_plot,
@@ -161,7 +161,7 @@ _PLOTS: dict[str, Callable[[Analysis], Figure]] = {
 
 def draw_plots(analysis: Analysis) -> list[Plot]:
     """Return the plots of a run; on Linux, half of them are drawn by a second process that begins as a copy of this."""
-    keys = list(_PLOTS)
+    keys = list(PLOTS)
     with report_style():
         if sys.platform != "linux" or len(os.sched_getaffinity(0)) < 2:
             return _drawn(keys, analysis)
@@ -191,11 +191,11 @@ def _send_drawn(sender: Connection, keys: Sequence[str], analysis: Analysis) -> 
 def _drawn(keys: Sequence[str], analysis: Analysis) -> list[Plot]:
     plots = []
     for key in keys:
-        figure = _PLOTS[key](analysis)
+        figure = PLOTS[key](analysis)
         # Nothing to draw is a sentence, not a canvas.
         text = str(figure.get_label())
         svg = escape(f"{text[:1].upper()}{text[1:]}.") if text else svg_of(figure, key)
-        plots.append(Plot(key, *_told(_PLOTS[key]), Markup(svg), json.dumps(time_axes(figure))))
+        plots.append(Plot(key, *_told(PLOTS[key]), Markup(svg), json.dumps(time_axes(figure))))
     return plots
 
 

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from small_library import small_library
 
+from humanpred_ros import __version__
 from humanpred_ros.errors import SettingsError, UsageError
 from humanpred_ros.evaluation.framework import (
     Begin,
@@ -112,6 +113,8 @@ def test_files_hold_the_figures_the_tables_and_the_plot(tmp_path: Path) -> None:
     assert figures["machine"]["usable_cores"] >= 1
     rows = list(csv.reader(files["csv"].open(encoding="utf-8")))
     assert ["Figures [b]of[/b] two", "1/1", "time", "s", "0.25"] in rows
+    assert ["made with", "version", "", "", __version__] in rows
+    assert ["made with", "csv", "", "", str(files["csv"])] in rows
     assert files["plot"].read_text(encoding="utf-8").startswith("<?xml")
     assert len(list(tmp_path.iterdir())) == 3
 

@@ -78,8 +78,13 @@ def test_every_posture_arrives_and_is_answered_once(bag: BagReader, motion: Moti
     # Clouds are listened to until the publisher of the compact form is found.
     assert bag.require_topic(topics.OCCUPANCY).count < 0.2 * len(stamps)
     assert list(by_stamp(bag, topics.HUMAN_GOALS)) == stamps
+    assert list(by_stamp(bag, topics.POSTERIOR)) == stamps
     decisions = by_stamp(bag, topics.DECISION)
     assert list(decisions) == stamps
+    for stamp, costs in by_stamp(bag, topics.COSTS).items():  # as the decision's texts, but numbers
+        told = {s.name: {v.key: v.value for v in s.values}["selection_cost"] for s in decisions[stamp].status[1:]}
+        assert dict(zip(costs.name, map(repr, map(float, costs.position)), strict=True)) == told
+    assert bag.require_topic(topics.COSTS).count == sum(len(d.status) > 1 for d in decisions.values()) > 0
     assert len(stamps) == bag.require_topic(topics.DECISION).count
     recorded = np.array([message.position for message in by_stamp(bag, POSTURES).values()])
     assert np.array_equal(recorded[: len(motion)], motion.q)

@@ -20,10 +20,18 @@ MARKERS = {
     topics.human_markers("body_0"),
     topics.OCCUPANCY_MARKERS,
     topics.CANDIDATES,
+    topics.FUTURES,
     topics.ROLLOUTS,
     topics.GUARD_MARKERS,
 }
-OTHERS = {topics.DECISION, topics.DIAGNOSTICS.lstrip("/"), topics.SPEED_FACTOR, "robot_description"}
+OTHERS = {
+    topics.DECISION,
+    topics.DIAGNOSTICS.lstrip("/"),
+    topics.SPEED_FACTOR,
+    topics.COSTS,
+    topics.POSTERIOR,
+    "robot_description",
+}
 
 
 def texts(content: Any) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import re
 import shlex
@@ -15,6 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from humanpred_ros import __version__
 from humanpred_ros.errors import UsageError
 from humanpred_ros.viewing.analysis import Analysis, RunSummary, analyse
 from humanpred_ros.viewing.figures import goal_colours, report_style, svg_of
@@ -25,6 +27,7 @@ from humanpred_ros.viewing.plots_time import occupancy_plot
 from humanpred_ros.viewing.reliability import reliability_plot
 from humanpred_ros.viewing.report import render_report, reproduce_command, write_report
 from humanpred_ros.viewing.run import Run, read_run
+from humanpred_ros.viewing.saved_figures import save_figures
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 
@@ -262,3 +265,18 @@ def test_goals_named_after_colours_have_them() -> None:
     assert rgb["red"].argmax() == 0
     assert rgb["blue cup"].argmax() == 2
     assert len(set(colours.values())) == 3
+
+
+def test_figures_are_saved_for_a_paper_with_what_they_were_made_with(full_folder: Path, tmp_path: Path) -> None:
+    save_figures(full_folder, tmp_path / "figures", "svg", 7.0)
+    files = sorted((tmp_path / "figures").glob("*.svg"))
+    assert len(files) == 10
+    for file in files:
+        width = float(re.findall(r'width="([0-9.]+)pt"', file.read_text(encoding="utf-8"))[0])
+        assert 0.3 * 7.0 < width / 72.0 < 7.2
+    rows = list(csv.reader((tmp_path / "figures" / "decisions.csv").open(encoding="utf-8")))
+    steps = read_run(full_folder).steps
+    assert [row[0] for row in rows[1 : len(steps) + 1]] == [str(step.step) for step in steps]
+    assert ["made with", "version", __version__] in rows
+    with pytest.raises(UsageError, match="--figures: wanted a folder"):
+        save_figures(full_folder, full_folder / "bag" / "metadata.yaml" / "x", "svg", 7.0)
