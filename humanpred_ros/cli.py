@@ -50,7 +50,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "bench graph": ("evaluation.graph_bench:measure", "posture to trajectory over DDS at 30 Hz, per number of goals"),
     "bench link": ("evaluation.checkout_benches:link", "predictor and planner on two hosts, over a link that loses"),
     "bench tracker": ("nodes.tracker_bench:run", "how long a body tracker's points take to become a posture"),
-    "bench view": ("evaluation.view_bench:measure", "frames a second of the live view, and what it costs the nodes"),
+    "bench view": ("evaluation.checkout_benches:view", "frames a second of the live view, and what it costs the nodes"),
     "bench soak": ("evaluation.checkout_benches:soak", "how the running graph holds out, with a fault now and then"),
     "bench faults": (
         "evaluation.checkout_benches:faults",

@@ -1,7 +1,7 @@
-"""`humanpred bench fuzz`, `bench faults`, `bench soak` and `bench link`: what this package is put through.
+"""What this package is put through: `humanpred bench fuzz`, `faults`, `soak`, `link` and `view`.
 
-Damage, faults, bad links and what must follow are part of the repository's tests (`test/fuzz`, `test/faults`,
-`test/link`): these commands run from a checkout only.
+Damage, faults, bad links, browsers and what must follow are part of the repository's tests (`test/fuzz`, `test/faults`,
+`test/link`, `test/view_bench.py`): these commands run from a checkout only.
 """
 
 from __future__ import annotations
@@ -86,6 +86,15 @@ class LinkBenchSettings(OutputSettings):
             )
 
 
+class ViewBenchSettings(OutputSettings):
+    """Settings of `humanpred bench view`."""
+
+    voxels: int = setting(10_000, "voxels that are new in every moment", low=1, high=1_000_000)
+    seconds: float = setting(5.0, "length of each stretch", unit="s", low=1.0, high=600.0)
+    stretches: int = setting(3, "of the running graph without a view, and with one; none: only frames are counted")
+    browser: str = setting("", "program to look with; empty: chromium or google-chrome, if there is one")
+
+
 def fuzz(settings: FuzzSettings, console: Console) -> int:
     """Read damaged files and show damaged messages to the nodes; the exit status is 1 if anything failed."""
     return _run("fuzz.files", settings, console)
@@ -104,6 +113,11 @@ def soak(settings: SoakSettings, console: Console) -> int:
 def link(settings: LinkBenchSettings, console: Console) -> int:
     """Run the graph on two hosts with every loss."""
     return _run("link.bench", settings, console)
+
+
+def view(settings: ViewBenchSettings, console: Console) -> int:
+    """Count the live view's frames, and measure what it costs the nodes."""
+    return _run("view_bench", settings, console)
 
 
 def _run(module: str, settings: OutputSettings, console: Console) -> int:

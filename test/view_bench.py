@@ -22,17 +22,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Console
 
 from humanpred_ros.errors import UsageError
 from humanpred_ros.evaluation.bench_nodes import replay, write_motion, write_scene
-from humanpred_ros.evaluation.framework import Begin, OutputSettings, Report, Table
+from humanpred_ros.evaluation.checkout_benches import ViewBenchSettings
+from humanpred_ros.evaluation.framework import Begin, Report, Table, present
 from humanpred_ros.evaluation.processes import NodeGroup, NodeProcess, address_of, free_domain_id, view_command
 from humanpred_ros.evaluation.timing import MachineLoad
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import load_scene
-from humanpred_ros.settings import setting
 from humanpred_ros.viewing.space import ServerSettings, SpaceMoment, SpaceView, served
 
 _LIBRARY, _TRAJECTORY, _SCENE, _GOALS = "synthetic_reaches", "3/2", "face_to_face", 4
@@ -58,13 +59,9 @@ _COUNT = """new Promise(done => {
 })"""
 
 
-class ViewBenchSettings(OutputSettings):
-    """Settings of `humanpred bench view`."""
-
-    voxels: int = setting(10_000, "voxels that are new in every moment", low=1, high=1_000_000)
-    seconds: float = setting(5.0, "length of each stretch", unit="s", low=1.0, high=600.0)
-    stretches: int = setting(3, "of the running graph without a view, and with one; none: only frames are counted")
-    browser: str = setting("", f"program to look with; empty: {' or '.join(_BROWSERS)}, if there is one")
+def run(settings: ViewBenchSettings, console: Console) -> int:
+    """Measure, print and write."""
+    return present(settings, console, measure)
 
 
 def measure(settings: ViewBenchSettings, begin: Begin) -> Report:
