@@ -24,7 +24,15 @@ import numpy as np
 
 from humanpred_ros.errors import SettingsError, UsageError
 from humanpred_ros.evaluation.framework import Begin, Column, OutputSettings, Report, Table
-from humanpred_ros.evaluation.planner_bench_world import BenchWorld, Workload, bench_world
+from humanpred_ros.evaluation.planner_bench_world import (
+    LIVE_POINTS,
+    LIVE_SOLIDS,
+    BenchWorld,
+    LiveWorld,
+    Workload,
+    bench_world,
+    scenes_of_arms,
+)
 from humanpred_ros.evaluation.timing import MachineLoad, Spread, durations_ms, growth_plot
 from humanpred_ros.resources import share_directory
 from humanpred_ros.settings import setting
@@ -72,6 +80,7 @@ class PlannerBenchSettings(OutputSettings, Workload):
     rounds: int = setting(9, "measurements of everything", low=1)
     yardstick: Path | None = setting(None, f"C++ source of the floor; by default ../{_YARDSTICK}, if it is there")
     growth: bool = setting(True, "measure what the time grows with, too")
+    arms: bool = setting(True, "measure other arms, and obstacles that are told of while the planner runs, too")
 
     def check(self) -> None:
         """Refuse a plot of what is not measured."""
@@ -97,13 +106,14 @@ def measure(settings: PlannerBenchSettings, begin: Begin) -> Report:
             _round(found, k, world, yardstick, pool)
             advance(k + 1)
         growth = list(_growth(workload, yardstick, pool, begin)) if settings.growth else []
+    arms = _arms(workload, settings.rounds, begin) if settings.arms else []
     figures = {key: Spread.of(found[key]) for key in _TITLES}
-    facts = {"lookups": workload.lookups, **figures, "growth": growth, "published_ms": PUBLISHED_MS}
+    facts = {"lookups": workload.lookups, **figures, "growth": growth, "arms": arms, "published_ms": PUBLISHED_MS}
     return Report(
         f"{workload.iterations} iterations x {workload.rollouts} rollouts x {workload.waypoints} waypoints, "
         f"{workload.points} body points, {workload.spheres} spheres, "
         + (f"{workload.reused} rollouts reused" if workload.reused else "fresh noise"),
-        tuple(_tables(settings, figures, growth)),
+        tuple(_tables(settings, figures, growth, arms)),
         {**facts, "other_cores": load.other_cores(), "no_floor": yardstick.missing},
         (*load.notes(), *([yardstick.missing] if yardstick.missing else [])),
         (lambda: growth_plot(_points(growth), "ms")) if growth else None,
@@ -163,6 +173,34 @@ def _growth(
                 "lookups": world.workload.lookups * (size if what == "goals" else 1),
                 **{key: Spread.of(samples[key]) for key in ("ours_ms", "two_threads_ms", "floor_ms", "to_floor")},
             }
+
+
+def _arms(workload: Workload, rounds: int, begin: Begin) -> list[dict[str, Any]]:
+    """Return the figures of every arm that there is a scene of; the bench's own is the first.
+
+    Ratios are of the shortest times: other programs lengthen some and never shorten one.
+    """
+    names = scenes_of_arms()
+    worlds, live = [bench_world(workload, name) for name in names], [LiveWorld.of(name) for name in names]
+    found: list[defaultdict[str, list[float]]] = [defaultdict(list) for _ in names]
+    advance = begin("rounds, arms", rounds + 1)
+    for k in range(rounds + 1):  # the first warms up
+        for world, table, samples in zip(worlds, live, found, strict=True):
+            durations = durations_ms(partial(plan_one, world), _goals_of_round(k, workload))
+            samples["ours_ms"] += durations
+            for what in ("solids", "cloud"):
+                samples[f"{what}_ms"] += durations_ms(lambda k, w=what, t=table: t.update(k, w), [k])  # type: ignore[misc]
+        advance(k + 1)
+    return [
+        {
+            "arm": world.arm.robot.name,
+            "joints": world.arm.chain.n_joints,
+            "nodes": int(table.live.field().values.size),
+            "to_first": min(samples["ours_ms"]) / min(found[0]["ours_ms"]),
+            **{key: Spread.of(values[len(values) // (rounds + 1) :]) for key, values in samples.items()},
+        }
+        for world, table, samples in zip(worlds, live, found, strict=True)
+    ]
 
 
 def plan_one(world: BenchWorld, goal: int) -> Plan:
@@ -247,7 +285,10 @@ def _run(limit_s: float, *command: object) -> subprocess.CompletedProcess[str]:
 
 
 def _tables(
-    settings: PlannerBenchSettings, figures: Mapping[str, Spread], growth: Sequence[dict[str, Any]]
+    settings: PlannerBenchSettings,
+    figures: Mapping[str, Spread],
+    growth: Sequence[dict[str, Any]],
+    arms: Sequence[dict[str, Any]],
 ) -> Iterator[Table]:
     yield Table(
         f"Milliseconds; {settings.goals} goals",
@@ -275,6 +316,24 @@ def _tables(
                 Column("floor", lambda row: row["floor_ms"].median, ".1f", "ms"),
                 Column("ours / floor", lambda row: row["to_floor"].median, ".2f"),
             ),
+        )
+
+    if arms:
+        yield Table(
+            "Other arms at equal points and spheres; obstacles told of while the planner runs, medians (most), ms",
+            arms,
+            (
+                Column("arm", lambda row: row["arm"]),
+                Column("joints", lambda row: row["joints"]),
+                Column("one goal", lambda row: row["ours_ms"].median, ".2f"),
+                Column("least", lambda row: row["ours_ms"].least, ".2f"),
+                Column("to the first arm", lambda row: row["to_first"], ".2f"),
+                Column("nodes of distances", lambda row: row["nodes"], ",d"),
+                Column(f"{LIVE_SOLIDS} solids", lambda row: "{0.median:.0f} ({0.most:.0f})".format(row["solids_ms"])),
+                Column(f"{LIVE_POINTS:,} points", lambda row: "{0.median:.0f} ({0.most:.0f})".format(row["cloud_ms"])),
+            ),
+            "Obstacles: from their coming to the planner's having the distances to everything, goals checked anew; "
+            "the solids' time holds the cloud's, which stays.",
         )
 
 

@@ -17,17 +17,20 @@ from humanpred_ros.geometry.chain import BodyPoints, BodySpheres
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.geometry.distance_field import SignedDistanceField, build_distance_field
 from humanpred_ros.geometry.lattice import Occupancy, VoxelGrid
-from humanpred_ros.geometry.solids import Box, Obstacle, planar_pose
+from humanpred_ros.geometry.solids import Box, Obstacle, Sphere, cylinder, planar_pose
+from humanpred_ros.planning.live_obstacles import LiveObstacles
 from humanpred_ros.planning.path import straight
+from humanpred_ros.planning.replanner import Replanner
 from humanpred_ros.robot.arm import Arm
 from humanpred_ros.robot.robot import BODY_POINT_SPACING_M
 from humanpred_ros.robot.scene import Scene, load_scene
+from humanpred_ros.robot.scene_file import read_scene_file, scene_names
 from humanpred_ros.settings import Settings, setting, setting_of
 from humanpred_ros.stomp.config import StompConfig
 from humanpred_ros.stomp.costs import HumanOccupancyCost, ObstacleCost, SmoothnessCost
 from humanpred_ros.stomp.planner import StompPlanner
 
-#: Arm, start and goals are this scene's.
+#: Arm, start and goals are this scene's, unless another arm is compared.
 SCENE = "four_places"
 #: The boards of the shelf, m: heights of the faces, and where they lie. The arm's way runs from 0.85 to 1.20 m.
 _LOWER_BOARD_M, _UPPER_BOARD_M, _THICKNESS_M = 0.85, 1.25, 0.02
@@ -36,6 +39,10 @@ _BOARD_CENTRE_M, _BOARD_SIZE_M = (-0.1, -0.6), (1.6, 1.2)
 #: it is wide.
 _GRID_M, _RESOLUTION_M, _BALL_RADIUS_M = (80, 80, 80), 0.025, 0.35
 _BALL_IN_GRID_M, _BALL_STRETCH = np.array([1.2, 1.2, 1.1]), np.array([1.0, 1.0, 0.5])
+
+
+#: What is told of while the planner runs: so many solids, or a cloud of so many points.
+LIVE_SOLIDS, LIVE_POINTS = 20, 100_000
 
 
 class Workload(Settings):
@@ -79,9 +86,9 @@ class BenchWorld:
     obstacle: ObstacleCost
 
 
-def bench_world(workload: Workload) -> BenchWorld:
-    """Return the world of a workload."""
-    scene, field = _surroundings()
+def bench_world(workload: Workload, of: str = SCENE) -> BenchWorld:
+    """Return the world of a workload, with arm, start and goals of a scene that comes with the package."""
+    scene, field = _surroundings(of)
     arm, chain = scene.arm, scene.arm.chain
     # All iterations are done, whether or not they still help.
     stomp = workload.part(StompConfig, patience=0)
@@ -95,10 +102,55 @@ def bench_world(workload: Workload) -> BenchWorld:
     return BenchWorld(workload, StompPlanner(terms, chain.lower, chain.upper, stomp), paths, arm, human, obstacle)
 
 
+def scenes_of_arms() -> tuple[str, ...]:
+    """Return a scene of every robot that there is a scene of in the package, `SCENE` first."""
+    found = {read_scene_file(SCENE).robot.robot: SCENE}
+    for name in scene_names():
+        found.setdefault(read_scene_file(name).robot.robot, name)
+    return tuple(found.values())
+
+
+@dataclass(frozen=True, eq=False)
+class LiveWorld:
+    """A planner at a table on which things are told of while it runs: two of each of these in turn."""
+
+    replanner: Replanner
+    live: LiveObstacles
+    solids: tuple[tuple[Obstacle, ...], ...]
+    clouds: tuple[FloatArray, ...]  #: points (N, 3)
+
+    @classmethod
+    def of(cls, scene_name: str) -> LiveWorld:
+        """Return it for a scene; solids and points lie around where its goals want the tool."""
+        scene, rng = load_scene(scene_name), np.random.default_rng(0)
+        tool = np.mean([scene.arm.chain.tool_pose(goal.configuration)[:3, 3] for goal in scene.goals], axis=0)
+        shapes = (Box(0.1, 0.05, 0.2), cylinder(0.04, 0.1), Sphere(0.05))
+
+        def solid(k: int) -> Obstacle:
+            x, y, z = tool + rng.uniform((-0.7, -0.35, -0.2), (0.7, 0.35, 0.0))
+            return Obstacle(f"thing {k}", shapes[k % len(shapes)], planar_pose(x, y, z, rng.uniform(0.0, np.pi)))
+
+        solids = tuple(tuple(solid(k) for k in range(LIVE_SOLIDS)) for _ in range(2))
+        clouds = tuple(
+            tool + rng.uniform((-0.7, -0.35, -0.2), (0.7, 0.35, 0.0), (LIVE_POINTS, 3)) * (1, 1, rng.random())
+            for _ in range(2)
+        )
+        return cls(Replanner.for_scene(scene), LiveObstacles(scene.distance_field()), solids, clouds)
+
+    def update(self, k: int, what: str) -> None:
+        """Take the solids or the cloud of turn `k`, and let the planner have the distances to everything."""
+        if what == "cloud":
+            self.live.set_points(self.clouds[k % 2])
+        else:
+            for key, solid in enumerate(self.solids[k % 2]):
+                self.live.put(key, solid)
+        self.replanner.change(field=self.live.field())
+
+
 @cache
-def _surroundings() -> tuple[Scene, SignedDistanceField]:
-    """Return the scene, and the distances to the shelf."""
-    scene = load_scene(SCENE)
+def _surroundings(of: str) -> tuple[Scene, SignedDistanceField]:
+    """Return a scene, and the distances to the shelf."""
+    scene = load_scene(of)
     faces_m = {"lower board": _LOWER_BOARD_M - _THICKNESS_M / 2.0, "upper board": _UPPER_BOARD_M + _THICKNESS_M / 2.0}
     size = np.array((*_BOARD_SIZE_M, _THICKNESS_M))
     boards = [Obstacle(name, Box(*size), planar_pose(*_BOARD_CENTRE_M, z)) for name, z in faces_m.items()]

@@ -47,10 +47,14 @@ class SignedDistanceField:
         return upper
 
     def lowered(self, obstacles: Sequence[Obstacle], cap_m: float) -> SignedDistanceField:
-        """Return the distance to more obstacles, too; larger distances from them than `cap_m` are not told apart."""
-        values = self.values.copy()
+        """Return the distance to more obstacles, too; larger distances than `cap_m` are not told apart any more."""
+        values = np.minimum(self.values, np.float32(cap_m))
         _lower(values, self.origin_m, self.resolution_m, obstacles, cap_m)
         return SignedDistanceField(self.origin_m, self.resolution_m, values)
+
+    def no_farther(self, distance_m: NDArray[np.float32]) -> SignedDistanceField:
+        """Return the field with every value lowered to a distance from something else (nx, ny, nz)."""
+        return SignedDistanceField(self.origin_m, self.resolution_m, np.minimum(self.values, distance_m))
 
     def distance(self, points_m: FloatArray) -> FloatArray:
         """Return trilinearly interpolated distances (...) of world points (..., 3).

@@ -18,8 +18,8 @@ from humanpred_ros.robot.scene_file import LARGEST_M
 
 #: Points farther than this outside of what the arm can reach do not matter, nodes of the field's lattice.
 _BEYOND = 8
-#: Distances beyond this from what is live need not be told apart, m.
-CAP_M = 0.5
+#: Distances beyond this need not be told apart while something is live, m: three times the clearance that costs.
+CAP_M = 0.3
 
 
 class LiveObstacles:
@@ -41,7 +41,9 @@ class LiveObstacles:
         nx, ny, nz = (n + 2 * _BEYOND for n in field.values.shape)
         self.grid = VoxelGrid((float(origin[0]), float(origin[1]), float(origin[2])), h, (nx, ny, nz))
         self._cells = np.zeros(0, dtype=np.int64)
-        self._cloud = self._cells, field
+        #: What was computed last, and for what.
+        self._cloud: tuple[NDArray[np.int64], NDArray[np.float32] | None] = self._cells, None
+        self._with_solids = tuple[Obstacle, ...](), field.lowered((), CAP_M)
         self.doubts: dict[Hashable, str] = {}
         self.changed = False
 
@@ -99,22 +101,27 @@ class LiveObstacles:
             self._cells, self.changed = found, True
 
     def field(self) -> SignedDistanceField:
-        """Return the distance to everything; made anew when asked for, in some 20 ms for 20 solids.
+        """Return the distance to everything; made anew when asked for, in some 10 ms for 20 solids.
 
         One thread may ask while another changes what is there.
         """
         self.changed = False
-        cells, (of, field) = self._cells, self._cloud
-        if cells is not of:
-            field = self._with_cloud(cells)
-            self._cloud = cells, field
-        solids = self.solids
-        return field.lowered(solids, CAP_M) if solids else field
+        cells, solids = self._cells, self.solids
+        if not solids and not len(cells):
+            return self._still
+        if cells is not self._cloud[0]:
+            self._cloud = cells, self._distance_to(cells)
+        if solids != self._with_solids[0]:
+            self._with_solids = solids, self._still.lowered(solids, CAP_M)
+        around, (_, cloud) = self._with_solids[1], self._cloud
+        return around if cloud is None else around.no_farther(cloud)
 
-    def _with_cloud(self, cells: NDArray[np.int64]) -> SignedDistanceField:
-        """Return the distance to what never changes and to cubes of the lattice."""
+    def _distance_to(self, cells: NDArray[np.int64]) -> NDArray[np.float32] | None:
+        """Return the distance of every node of the field to cubes of the lattice; None without any."""
+        if not len(cells):
+            return None
         still = self._still
         near = distance_to_voxels(self.grid, cells, still.origin_m, still.upper_m, CAP_M)
         first = np.rint((still.origin_m - near.origin_m) / still.resolution_m).astype(np.int64)
-        part = tuple(slice(k, k + n) for k, n in zip(first, still.values.shape, strict=True))
-        return SignedDistanceField(still.origin_m, still.resolution_m, np.minimum(still.values, near.values[part]))
+        i, j, k = (slice(a, a + n) for a, n in zip(first, still.values.shape, strict=True))
+        return near.values[i, j, k]

@@ -49,6 +49,7 @@ def scene() -> Scene:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(planner_bench, "GROWTH", {"goals": (1, 2), "points": (10, 20)})
+    monkeypatch.setattr(planner_bench, "scenes_of_arms", lambda: ("panda_side_by_side",))
 
 
 def run(*words: str) -> str:
@@ -164,6 +165,10 @@ def test_everything_is_measured_printed_and_written(tmp_path: Path, quick: None)
     assert bench["growth"][1]["lookups"] == 2 * bench["growth"][0]["lookups"]
     assert bench["growth"][0]["two_threads_ms"]["n"] == bench["growth"][3]["ours_ms"]["n"]
     assert bench["machine"]["usable_cores"] >= 1
+    [arm] = bench["arms"]
+    assert (arm["arm"], arm["to_first"]) == ("Panda", 1.0)
+    assert arm["ours_ms"]["n"] == 3
+    assert arm["solids_ms"]["n"] == arm["cloud_ms"]["n"] == 1
     assert "one goal / floor" in printed
     assert plot.read_bytes()[:4] == b"\x89PNG"
 

@@ -16,7 +16,8 @@ from humanpred_ros.evaluation.demo import DemoSettings, run_demo
 
 PAGE = (REPOSITORY / "docs" / "howto" / "your_robot.md").read_text(encoding="utf-8")
 FILES = dict(re.findall(r"^```yaml (\w+\.yaml)\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL))
-ROBOTS = {"panda_face_to_face": "Panda", "ur5_side_by_side": "UR5", "my_table.yaml": "my arm"}
+#: By scene; in the shelf person and arm reach between the same boards.
+ROBOTS = {"shelf": "Panda", "ur5_side_by_side": "UR5", "my_table.yaml": "my arm"}
 
 
 @pytest.fixture(scope="module")

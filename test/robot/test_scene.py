@@ -73,7 +73,7 @@ def test_the_tool_is_above_the_places_that_people_reach_for() -> None:
 
 
 def test_scenes_hold_what_the_experiments_need() -> None:
-    assert {"face_to_face", "four_places", "side_by_side", "tool_poses"} <= set(scene_names())
+    assert {"face_to_face", "four_places", "shelf", "side_by_side", "tool_poses"} <= set(scene_names())
     for robot in ("panda", "ur5"):
         assert {f"{robot}_face_to_face", f"{robot}_side_by_side"} <= set(scene_names())
     assert [goal.name for goal in FACE.goals] == ["red", "blue"]
