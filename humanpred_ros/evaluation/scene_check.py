@@ -21,7 +21,7 @@ from humanpred_ros.geometry.lattice import Occupancy
 from humanpred_ros.planning.replanner import Replanner
 from humanpred_ros.robot.clearance import SelfCollision, nearest_contacts
 from humanpred_ros.robot.scene import Scene, scene_of
-from humanpred_ros.robot.scene_file import SceneFile, read_scene_file
+from humanpred_ros.robot.scene_file import GoalSection, SceneFile, read_scene_file, start_of
 from humanpred_ros.settings import Settings, setting
 from humanpred_ros.viewing.figures import INK, MUTED, goal_colours, new_figure
 from humanpred_ros.viewing.plots_space import outline_of
@@ -81,14 +81,21 @@ def schema(settings: SceneSchemaSettings, console: Console) -> int:
 
 
 def _checked(file: SceneFile) -> Iterator[tuple[TaskCheck, Scene | None]]:
-    """Yield what is found of each task, and the scene with that task alone; none where it cannot be made."""
-    field = None
+    """Yield what is found of each task, and the scene with that task alone; none where it cannot be made.
+
+    Raises:
+        HumanPredError: what is wrong is no task.
+    """
+    start = tuple(start_of(file)[1])
+    stay = tuple(GoalSection(name=entry.name, configuration_rad=start) for entry in file.goals)
+    bare = scene_of(file.model_copy(update={"goals": stay}))
+    bare.check_free()
+    field = bare.distance_field()
     for entry in file.goals:
         scene = None
         try:
             scene = scene_of(file.model_copy(update={"goals": (entry,)}))
             scene.check_free()
-            field = field or scene.distance_field()
             itself = SelfCollision.for_arm(scene.arm).clearance
             yield _planned(scene, Replanner(scene.arm, scene.goals, field, self_clearance=itself)), scene
         except HumanPredError as trouble:

@@ -296,8 +296,8 @@ def read_mesh(file: Path, where: str) -> FloatArray:
     try:
         loaded: Any = trimesh.load(file, force="mesh", process=False)
         triangles = np.array(loaded.triangles, dtype=np.float64).reshape(-1, 3, 3)
-    except (ValueError, TypeError, OSError, ImportError, AttributeError, KeyError, IndexError) as trouble:
-        raise UsageError(f"{where}: wanted a readable mesh, got {file}: {trouble}") from trouble
+    except Exception as trouble:  # readers of many formats, each with errors of its own
+        raise UsageError(f"{where}: wanted a readable mesh (STL, OBJ, DAE), got {file}: {trouble}") from trouble
     if not len(triangles) or not np.isfinite(triangles).all():
         raise UsageError(f"{where}: wanted a mesh of triangles, got {file}, which has none that are finite")
     return triangles

@@ -238,19 +238,19 @@ def nearest_contacts(arm: Arm, obstacles: Sequence[Obstacle], q: FloatArray) -> 
 
 
 def shoulder_approach(arm: Arm, obstacles: Sequence[Obstacle]) -> Approach | None:
-    """Return where the shoulder comes closest to obstacles, whatever the arm does; None for an arm without one.
+    """Return where the shoulder comes closest to obstacles, whatever the arm does; None without either.
 
     Planners leave the shoulder out (`Arm.spheres`); nothing may stand where it could get to.
 
     Args:
-        obstacles: at least one.
+        obstacles: may be empty.
 
     Returns:
         A clearance no larger than the true one: covers and the steps between the sampled angles take
         up to 0.1 m of it.
     """
     chain, spheres = arm.chain, arm.robot.shoulder_spheres
-    if spheres is None:
+    if spheres is None or not obstacles:
         return None
     # A joint that turns without end is sampled over one turn.
     lower, upper = np.where(chain.continuous, -np.pi, chain.lower), np.where(chain.continuous, np.pi, chain.upper)

@@ -40,6 +40,8 @@ from humanpred_ros.robot.surface import covering_boxes
 _FIELD_CAP_M = 0.5
 #: A fitted lattice's voxels, and how far it goes beyond the arm's reach, m.
 _VOXEL_M, _BEYOND_M = 0.05, 0.3
+#: So many voxels must lie where the arm can be, along each axis.
+_LEAST_VOXELS = 4
 #: A mesh is filled with as many boxes as save this volume each, m^3; none is thinner, m.
 _MESH_SAVING_M3, _THINNEST_M = 0.0001, 1e-4
 
@@ -187,6 +189,14 @@ def scene_of(file: SceneFile) -> Scene:
     arm = _arm(file.robot)
     start = arm.check_configuration(start_of(file)[1], f"start of scene {file.name}")
     obstacles = _obstacles(file)
+    grid = VoxelGrid(file.grid.origin_m, file.grid.resolution_m, file.grid.shape) if file.grid else fitted_grid(arm)
+    centre, radius = arm.reach
+    low, high = np.array(grid.origin_m), np.array(grid.origin_m) + grid.resolution_m * np.array(grid.shape)
+    if (np.minimum(high, centre + radius) - np.maximum(low, centre - radius) < _LEAST_VOXELS * grid.resolution_m).any():
+        raise SceneError(
+            f"scene {file.name}: grid: wanted voxels around the arm, which reaches {radius:.2f} m around "
+            f"{centre.round(2).tolist()}, got {low.tolist()} to {high.tolist()}; correct grid, or leave it out"
+        )
     return Scene(
         name=file.name,
         arm=arm,
@@ -194,7 +204,7 @@ def scene_of(file: SceneFile) -> Scene:
         goals=tuple(_goal(entry, arm, start, obstacles) for entry in file.goals),
         obstacles=obstacles,
         T_world_human=planar_pose(*file.human.offset_m, float(file.human.angle("yaw"))),
-        grid=VoxelGrid(file.grid.origin_m, file.grid.resolution_m, file.grid.shape) if file.grid else fitted_grid(arm),
+        grid=grid,
         places=tuple(Place(str(entry.label), np.array(entry.place_m)) for entry in file.places),
         human_frame=file.human.frame or "",
     )

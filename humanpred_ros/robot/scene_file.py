@@ -195,7 +195,7 @@ class GridSection(Section):
     """The voxels of predicted occupancy."""
 
     origin_m: Triple = Field(description="Lowest corner, world frame (m)")
-    resolution_m: float = Field(description="Edge of a voxel (m)")
+    resolution_m: float = Field(gt=0.0, le=1.0, description="Edge of a voxel (m)")
     shape: tuple[int, int, int] = Field(description="Numbers of voxels along x, y, z")
 
 

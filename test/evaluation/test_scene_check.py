@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -33,6 +36,44 @@ def test_a_task_out_of_reach_is_told_with_its_reason_and_the_others_are_planned(
     assert "no configuration within the joint limits" in said
     assert said.count("reached") == 1
     assert plot.read_bytes()[:4] == b"\x89PNG"
+
+
+WRONG: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
+    "no tasks": (lambda s: s.update(goals=[]), "wanted at least one goal, got none"),
+    "two tasks of one name": (lambda s: s["goals"][1].update(name="red"), "different goal names, got red twice"),
+    "a lattice elsewhere": (lambda s: s["grid"].update(origin_m=[20, -3, 0]), "grid: wanted voxels around the arm"),
+    "voxels in millimetres": (lambda s: s["grid"].update(resolution_m=50), "grid: resolution_m: .* got 50"),
+    "a mesh of another kind": (
+        lambda s: s.update(obstacles=[{"name": "a", "position_m": [0, 0, 0], "mesh": "wrong.yaml"}]),
+        r"obstacle a: wanted a readable mesh \(STL, OBJ, DAE\), got .*wrong\.yaml",
+    ),
+    "a start in an obstacle": (
+        lambda s: s.update(obstacles=[{"name": "post", "position_m": [-0.1, -0.15, 1.3], "sphere_m": 0.3}]),
+        "start of scene .* m deep in post; move",
+    ),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_what_is_wrong_with_more_than_a_task_is_one_line(
+    wrong: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change, words = WRONG[wrong]
+    content = yaml.safe_load(share_file("config", "scenes", "panda_face_to_face.yaml").read_text())
+    change(content)
+    (tmp_path / "wrong.yaml").write_text(yaml.safe_dump(content))
+    assert main(["scene", "check", str(tmp_path / "wrong.yaml")]) == 2
+    said = capsys.readouterr()
+    assert re.fullmatch(f"humanpred: .*{words}.*\n", said.err), said.err
+    assert not said.out
+
+
+def test_a_scene_without_obstacles_is_planned_in(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    content = yaml.safe_load(share_file("config", "scenes", "panda_face_to_face.yaml").read_text())
+    del content["table"], content["objects"]
+    (tmp_path / "empty.yaml").write_text(yaml.safe_dump(content))
+    assert main(["scene", "check", str(tmp_path / "empty.yaml")]) == 0
+    assert capsys.readouterr().out.count("reached") == 2
 
 
 def test_the_schema_is_json(capsys: pytest.CaptureFixture[str]) -> None:
