@@ -563,7 +563,7 @@ WRONG_PANDA: dict[str, tuple[Change, type[HumanPredError], str]] = {
     "a mesh that is not there": (
         lambda s: s.update(obstacles=[{"name": "a", "position_m": [0, 0, 0], "mesh": "a.stl"}]),
         UsageError,
-        r"obstacle a: wanted a readable mesh, got .*a\.stl",
+        r"obstacle a: wanted a readable mesh .*, got .*a\.stl",
     ),
     "an obstacle with a task in it": (
         lambda s: s.update(obstacles=[{"name": "wall", "position_m": [0, -0.6, 1.2], "sphere_m": 0.3}]),
