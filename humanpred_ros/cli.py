@@ -1,4 +1,4 @@
-"""Early prediction of human reaches, and a robot arm that plans around them, without a ROS installation."""
+"""Early prediction of human reaches, and an arm that plans around them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import os
 import re
 import signal
 import sys
+import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -18,7 +19,6 @@ from typing import Any, Literal, NoReturn, get_args, get_origin, get_type_hints
 from rich.console import Console
 from rich.text import Text
 
-from humanpred_ros import __version__
 from humanpred_ros.errors import HumanPredError, SettingsError, UsageError, one_line, printable
 from humanpred_ros.settings import Settings, facts_of, spelled
 
@@ -63,6 +63,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "robot check": ("evaluation.robot_check:run", "what an arm is made of, and how well its spheres cover its meshes"),
     "scene check": ("evaluation.scene_check:run", "plan every task of a scene once with nobody there, and draw it"),
     "scene schema": ("evaluation.scene_check:schema", "the JSON schema of scene files, for editors"),
+    "doctor": ("nodes.doctor:run", "whether this machine has what is needed, and what to do about what it lacks"),
+    "docs": ("viewing.documentation:docs", "show the documentation in a browser, without a network"),
+    "completion": ("cli:completion", "completion of commands and flags for bash and zsh"),
     "bag check": ("commands:bag_check", "read a bag completely, with checksums"),
     "bag salvage": ("commands:bag_salvage", "copy what is intact in a damaged bag to a new one"),
 }
@@ -81,7 +84,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         with _interruptible():
             if words[:1] in (["-h"], ["--help"], ["--version"]):
-                print(__version__ if words[0] == "--version" else _overview(""))
+                print(_versions() if words[0] == "--version" else _overview(""))
                 return 0
             run, settings = parse(words)
             return run(settings, console)
@@ -127,11 +130,21 @@ def parse(words: Sequence[str]) -> tuple[Command, Any]:
     )
 
 
+def _versions() -> str:
+    from humanpred_ros.nodes.doctor import versions
+
+    return versions()
+
+
 def _overview(group: str) -> str:
     """Return the commands there are, with what they do, all or those of one group."""
     shown = {name: text for name, (_, text) in COMMANDS.items() if name.startswith(group)}
     width = max(map(len, shown))
-    lines = [f"  {name:{width}}  {text}" for name, text in shown.items()]
+    indent = " " * (width + 4)
+    lines = [
+        textwrap.fill(text, 80, initial_indent=f"  {name:{width}}  ", subsequent_indent=indent)
+        for name, text in shown.items()
+    ]
     usage = " ".join(["usage: humanpred", *group.split(), "COMMAND [FLAGS]"])
     return "\n".join([usage, *([] if group else ["", str(__doc__)]), "", *lines, "", "COMMAND --help lists its flags."])
 
@@ -171,6 +184,13 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         raise SettingsError(f"{message}; see {self.prog} --help")
+
+
+def settings_of(name: str) -> type[Settings]:
+    """Return the settings class of a command, by its words."""
+    module, function = COMMANDS[name][0].split(":")
+    hints = get_type_hints(getattr(importlib.import_module(f"humanpred_ros.{module}"), function))
+    return next(kind for kind in hints.values() if isinstance(kind, type) and issubclass(kind, Settings))
 
 
 def add_flags(parser: argparse.ArgumentParser, settings_type: type[Settings]) -> None:
@@ -227,6 +247,40 @@ def shown(default: Any) -> str:
     if isinstance(default, float):
         return f"{default:g}"
     return "none" if default is None or default == "" else str(default)
+
+
+class CompletionSettings(Settings):
+    """Settings of `humanpred completion`."""
+
+
+def completion(settings: CompletionSettings, console: Console) -> int:
+    """Print what bash needs to complete commands and flags.
+
+    For bash: `humanpred completion > ~/.local/share/bash-completion/completions/humanpred`; for zsh, after `autoload -U
+    bashcompinit; bashcompinit`, read such a file with `source`.
+    """
+    del settings
+    known: dict[str, set[str]] = {"": {"--help", "--version"}}
+    for name in COMMANDS:
+        first, _, second = name.partition(" ")
+        known[""].add(first)
+        known.setdefault(first, {"--help"}).update([second] if second else [])
+        flags = {flag(settings_of(name), field) for field in settings_of(name).model_fields}
+        known.setdefault(name, {"--help"}).update(one for one in flags if one.startswith("--"))
+    cases = "\n".join(f'    "{name}") known="{" ".join(sorted(words))}";;' for name, words in known.items())
+    console.out(_COMPLETION % cases, highlight=False)
+    return 0
+
+
+#: The longest beginning of the line that is a command, or the first word of some, says what may follow.
+_COMPLETION = """_humanpred() {
+  local known="" begun here="${COMP_WORDS[COMP_CWORD]}"
+  for begun in "" "${COMP_WORDS[1]}" "${COMP_WORDS[1]} ${COMP_WORDS[2]}"; do case "$begun" in
+%s
+  esac; done
+  COMPREPLY=($(compgen -W "$known" -- "$here") $(compgen -f -- "$here"))
+}
+complete -F _humanpred humanpred"""
 
 
 @contextmanager

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
+from rich.text import Text
 
 from humanpred_ros import __version__, plugins
 from humanpred_ros.errors import LibraryFormatError, UsageError
@@ -50,6 +51,8 @@ if TYPE_CHECKING:
     from humanpred_ros.viewing.analysis import RunSummary
 
 _LOG_LINE = re.compile(r"^\[\w+\] \[[\d.]+\] \[stomp_planner\]: (.*)$")
+_DECISION = re.compile(r" *[\d.]+ s ")
+_COLUMNS = 80
 _TRACKER = "skeleton_tracker_replay"
 #: Named wherever something is sent: a recorder that is not yet matched would miss the first of it.
 _RECORDER = "run_recorder"
@@ -338,9 +341,13 @@ def _follow(group: NodeGroup, console: Console) -> None:
                 if not importing.ident:
                     importing.start()
                     status.update("human is moving, arm is working")
-                console.print(f"  {found.group(1)}", markup=False, highlight=False, soft_wrap=True)
+                told = Text(f"  {found[1]}")
+                if _DECISION.match(found[1]):  # the whole reason is in the report
+                    told.truncate(_COLUMNS, overflow="ellipsis")
+                console.print(told, highlight=False, soft_wrap=True)
 
-    with console.status("starting the nodes") as status:
+    console.print("starting the nodes; the first start on a machine compiles for a minute or two")
+    with console.status("waiting for the nodes") as status:
         group.wait_for(nodes[_TRACKER], show_decisions)
         show_decisions()
 

@@ -21,7 +21,7 @@ from humanpred_ros.nodes.inputs import kind_of
 from humanpred_ros.nodes.markers import PlanPictures
 from humanpred_ros.nodes.measured_arm import MeasuredArm
 from humanpred_ros.nodes.planner_settings import StompPlannerSettings
-from humanpred_ros.planning.decision import HOLD, KEEP, Decision
+from humanpred_ros.planning.decision import ARRIVED, HOLD, KEEP, REPLAN, Decision
 from humanpred_ros.planning.following import FollowingSettings
 from humanpred_ros.planning.replanner import Replanner
 from humanpred_ros.robot.goals import Goal
@@ -233,8 +233,8 @@ class CommandingNode(GraphNode):
         # People want to see what changes; that a goal is kept changes nothing, unless it ends a hold.
         if decision.action != KEEP or self.told_hold:
             self.told_hold = decision.action == HOLD
-            kind = (decision.action, kind_of(decision.reason), decision.chosen)
-            self.tell(kind, f"t {decision.stamp_s:5.2f} s  {decision.summary()}")
+            why = "" if decision.action in (REPLAN, ARRIVED) else kind_of(decision.reason)
+            self.tell((decision.action, why, decision.chosen), f"{decision.stamp_s:5.2f} s  {decision.summary()}")
         self.decision_publisher.publish(conversions.decision_message(decision, stamp_ns, compute_ms))
         if decision.goals:
             costs = np.array([goal.selection_cost for goal in decision.goals])

@@ -22,6 +22,8 @@ HOLD = "hold"
 EVADE = "evade"
 ARRIVED = "arrived"
 MISSED = "missed"
+#: What the arm does to the goal, by action; a hold, and moving aside, are to no goal.
+_IN_WORDS = {REPLAN: "to", KEEP: "goes on to", ARRIVED: "arrived at", MISSED: "too late for"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,14 +117,12 @@ class Decision:
         raise KeyError(name)
 
     def summary(self) -> str:
-        """Return one line for people: action, goal, reason and what every goal would have cost."""
-        goals = ", ".join(
-            f"{goal.name} {goal.selection_cost:.4f}" + ("" if goal.eligible else f" ({goal.obstacle_to_choice})")
-            for goal in self.goals
-        )
-        goal = f" {self.chosen}" if self.chosen else ""
-        change = f" (was {self.previous})" if self.switched else ""
-        return f"step {self.step}: {self.action}{goal}{change}: {self.reason}" + (f" [{goals}]" if goals else "")
+        """Return one line for people: what the arm does, for which goal, and why."""
+        goal = f" {self.chosen}" if self.chosen and self.action in _IN_WORDS else ""
+        instead = f", not {self.previous}" if goal and self.switched else ""
+        reason = self.reason.removeprefix(f"{self.previous} cannot be worked on: " if instead else "")
+        why = "" if self.action == ARRIVED else f": {reason}"
+        return f"{_IN_WORDS.get(self.action, self.action)}{goal}{instead}{why}"
 
     def __eq__(self, other: object) -> bool:
         return _same(self, other)

@@ -103,7 +103,7 @@ def served(settings: ServerSettings, tell: Callable[[str], None]) -> Iterator[vi
         import viser
     except ImportError as missing:
         raise UsageError(f"view: wanted viser, got none ({missing}); install the `view` extra") from missing
-    port = _free_port(settings.host, settings.port)
+    port = free_port(settings.host, settings.port)
     if port != settings.port:
         tell(f"port {settings.port} is in use: {port} is taken")
     with contextlib.redirect_stdout(io.StringIO()):  # it says more than anybody asked for
@@ -116,7 +116,8 @@ def served(settings: ServerSettings, tell: Callable[[str], None]) -> Iterator[vi
             server.stop()
 
 
-def _free_port(host: str, first: int) -> int:
+def free_port(host: str, first: int) -> int:
+    """Return the first port that is free at a host; raises UsageError as `served`."""
     for port in range(first, min(first + _PORTS_TRIED, 65536)):
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -277,7 +277,7 @@ def test_ctrl_c_leaves_no_process_and_a_readable_bag(run: Path, tmp_path: Path, 
             wait_until(lambda: len(list((folder / "logs").glob("*.log"))) >= 4, "the nodes to be started")
         else:
             log = folder / "logs" / "stomp_planner.log"
-            wait_until(lambda: log.exists() and "step 1" in log.read_text(encoding="utf-8"), "a decision")
+            wait_until(lambda: log.exists() and " s to place" in log.read_text(encoding="utf-8"), "a decision")
         os.killpg(demo.pid, signal.SIGINT)
         output, _ = demo.communicate(timeout=30.0)
     finally:
