@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 from humanpred_ros import __version__
-from humanpred_ros.errors import HumanPredError, one_line
+from humanpred_ros.errors import HumanPredError, RobotError, one_line
 from humanpred_ros.evaluation.processes import free_domain_id
 from humanpred_ros.resources import cache_root, share_file
 from humanpred_ros.robot.robot import load_robot
@@ -176,9 +176,14 @@ def _disk() -> Check:
 
 
 def _robots() -> Check:
+    lacking = []
     for name in robot_names():
-        load_robot(name)
-    yield ", ".join(robot_names()), ""
+        try:
+            load_robot(name)
+        except RobotError:
+            lacking.append(name)
+    found = ", ".join(name for name in robot_names() if name not in lacking)
+    yield found + (f"; without {', '.join(lacking)} (extra robots)" if lacking else ""), "" if found else _INSTALL
 
 
 def _scenes() -> Check:
