@@ -202,7 +202,7 @@ def saved(figure: Any) -> Callable[[Path], None]:
 #: Share of a reach after which it is looked at: the hand is on its way.
 EARLY = 0.17
 #: A reach of the shipped library that nothing below learns from, and the class whose reaches are compared.
-REACH, SHOWN_CLASS = "3/2", 3
+REACH, SHOWN_CLASS = "3/2", "3"
 
 
 @cache
