@@ -186,15 +186,15 @@ def animation(folder: Path) -> Iterator[tuple[str, Any]]:
 
 
 def saved(figure: Any) -> Callable[[Path], None]:
-    """Return what saves a figure as a small PNG: 64 colours are enough for lines and texts."""
+    """Return what saves a figure."""
 
     def save(path: Path) -> None:
         canvas = FigureCanvasAgg(figure)
-        figure.set_dpi(130)
+        figure.set_dpi(110)
         figure.set_facecolor(WASH)
         canvas.draw()
-        image = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-        image.quantize(128, dither=Image.Dither.NONE).save(path, optimize=True)
+        # All colours are kept: with a palette, lines of few pixels would get each other's.
+        Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB").save(path, optimize=True)
 
     return save
 
