@@ -13,6 +13,7 @@ body's surface is thinner than a voxel and would blur if voxels were moved.
 
 from __future__ import annotations
 
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -52,6 +53,17 @@ class ForecastSettings(SweepSettings):
         low=1e-3,
         high=1e3,
     )
+    pace: float = setting(
+        0.5,
+        "share, in logarithms, of the difference between the person's pace and the recorded one that lasts; 0: futures "
+        "take the time they took when they were recorded",
+        low=0.0,
+        high=1.0,
+    )
+
+
+#: How far back the pace is looked for, and at least, s; and how much quicker or slower than recorded anybody may be.
+_PACE_S, _LEAST_PACE_S, _MOST_PACE = 0.4, 0.15, 2.0
 
 
 class _Present(NamedTuple):
@@ -118,6 +130,10 @@ class ForecastPredictor(Predictor):
         self._futures = RecordedFutures.of(self._exemplars, forest.human, self._voxels.parts, step_m)
         n_moments = MOMENTS * np.maximum(np.diff(self._exemplars.first) - 1, 1)
         self._moment_s = self._exemplars.duration_s / n_moments
+        moments = MOMENTS * (np.arange(len(self._futures.label)) - self._exemplars.first[self._exemplars.motion])
+        #: (M,) how long after its motion's begin each exemplar was passed, s
+        self._passed_s = moments * self._moment_s[self._exemplars.motion]
+        self._progress: deque[tuple[float, float]] = deque()  #: stamps, and how far recorded people were by then, s
         self._room: SliceRoom | None = None
         self._last: _Present | None = None
         # What is compiled or put in order at its first use is used here: the first posture must not wait for it.
@@ -138,18 +154,24 @@ class ForecastPredictor(Predictor):
         """Forget what was observed: the next posture is the first of a new motion."""
         self._recogniser.start()
         self._last = None
+        self._progress.clear()
 
     def update(self, q: FloatArray, t_s: float) -> Prediction:
         """Take one posture (D,) stamped `t_s`; raises what the classifier raises, and then changes nothing."""
         posterior = self._recogniser.update(q, t_s)
         T_library_tracker = self._forest.alignment
         self._last = self._present(q, t_s, T_library_tracker, self._drawn(self._forest.exemplar_weights()))
+        self._progress.append((t_s, float(self._last.probability @ self._passed_s[self._last.chosen])))
+        while self._progress[0][0] < t_s - _PACE_S:
+            self._progress.popleft()
         return Prediction(Occupancy(self.grid, self._probability(self._last), t_s), posterior, T_library_tracker)
 
     def in_time(self, edges_s: FloatArray) -> OccupancyInTime | None:
-        """Return when the futures touch which voxels, each in the time its motion took; None where that is not known.
+        """Return when the futures touch which voxels; None where it is not known how long motions took.
 
-        When a recorded motion ends, the body stays.
+        Each takes the time its motion took: how much that differs from person to person is in the library. Somebody who
+        was quicker or slower than the recorded people stays so in part (`ForecastSettings.pace`). When a recorded
+        motion ends, the body stays.
         """
         if self._last is None or not np.isfinite(self._moment_s).all():
             return None
@@ -160,7 +182,7 @@ class ForecastPredictor(Predictor):
             present.chosen,
             present.now,
             self._futures.ways,
-            self._moment_s,
+            self._moment_s / self.seen_pace() ** self.settings.pace,
             np.asarray(edges_s, dtype=np.float64),
             self.settings.kept,
             self.settings.fade,
@@ -173,6 +195,15 @@ class ForecastPredictor(Predictor):
         )
         touched, p = collect_slices(present.probability, present.body, self.settings.spread, self._room)
         return OccupancyInTime(self.grid, edges_s, touched, p, present.t_s)
+
+    def seen_pace(self) -> float:
+        """Return how many times as quickly as the recorded people this one went lately; 1 before that is known."""
+        if not self._progress:
+            return 1.0
+        (begin_s, from_s), (end_s, to_s) = self._progress[0], self._progress[-1]
+        if end_s - begin_s < _LEAST_PACE_S:
+            return 1.0
+        return float(np.clip((to_s - from_s) / (end_s - begin_s), 1.0 / _MOST_PACE, _MOST_PACE))
 
     def futures(self, q: FloatArray) -> list[tuple[float, FloatArray]]:
         """Return the ways that the hands of a person in posture (D,), updated with last, may go, for people to see.

@@ -229,7 +229,7 @@ def test_calibrated_and_far_better_than_the_present_on_the_papers_recordings() -
     p = ForecastPredictor(ForestClassifier(HUMAN).fit(learned), grid, np.eye(4))
     error, present, missed, table = 0.0, 0.0, [], np.zeros(1)
     for label in library.labels:
-        motion = library.find(f"{label}/{10 + label}")
+        motion = library.find(f"{label}/{10 + int(label)}")
         last = body.last_touch(motion.q)
         p.start()
         for k, (q, t_s) in enumerate(zip(motion.q, motion.t_s, strict=True)):

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from small_library import REST, small_library
 
+from humanpred_ros.evaluation.leave_one_out import at_speed
 from humanpred_ros.evaluation.occupancy import OccupancySettings
 from humanpred_ros.evaluation.occupancy_in_time import evaluate_in_time
 from humanpred_ros.geometry.lattice import OccupancyInTime, VoxelGrid
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.occupancy.baselines import ConstantVelocityPredictor, CurrentOccupancyPredictor
-from humanpred_ros.occupancy.forecast import ForecastPredictor
+from humanpred_ros.occupancy.forecast import ForecastPredictor, ForecastSettings
 from humanpred_ros.occupancy.predictor import SLICES_S, Prediction, Predictor
 from humanpred_ros.occupancy.voxeliser import BodyVoxeliser
 from humanpred_ros.recognition.forest import ForestSettings
@@ -31,9 +33,9 @@ def library(duration_s: float = 1.5) -> MotionLibrary:
 
 
 @cache
-def forecast(duration_s: float = 1.5) -> ForecastPredictor:
+def forecast(duration_s: float = 1.5, pace: float = 0.5) -> ForecastPredictor:
     forest = ForestClassifier(HUMAN, ForestSettings(n_trees=40)).fit(library(duration_s))
-    return ForecastPredictor(forest, GRID, np.eye(4))
+    return ForecastPredictor(forest, GRID, np.eye(4), settings=ForecastSettings(pace=pace))
 
 
 def unseen(label: int = 1) -> Motion:
@@ -75,10 +77,23 @@ def test_one_slice_for_ever_is_the_swept_prediction() -> None:
 
 def test_people_half_as_fast_are_where_they_are_twice_as_late() -> None:
     ends = SLICES_S[1:]
-    _, quick = shown(forecast(), unseen(), 20, np.append(0.0, ends))
-    _, slow = shown(forecast(3.0), unseen(), 20, np.append(0.0, 2.0 * ends))
+    _, quick = shown(forecast(pace=0.0), unseen(), 20, np.append(0.0, ends))
+    late = replace(unseen(), t_s=2.0 * unseen().t_s)
+    _, slow = shown(forecast(3.0, pace=0.0), late, 20, np.append(0.0, 2.0 * ends))
     np.testing.assert_array_equal(quick.voxels, slow.voxels)
     np.testing.assert_array_equal(quick.probability, slow.probability)
+
+
+def test_who_goes_at_another_pace_is_expected_to_go_on_so() -> None:
+    def pace(speed: float) -> float:
+        found = []
+        for label in range(3):
+            shown(forecast(), at_speed(unseen(label), speed), round(24 / speed))
+            found.append(forecast().seen_pace())
+        return float(np.mean(found))
+
+    assert pace(0.7) < 0.93 * pace(1.0)
+    assert pace(1.4) > 1.07 * pace(1.0)
 
 
 def test_the_hand_comes_and_goes_while_the_feet_stay() -> None:
