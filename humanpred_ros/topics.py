@@ -80,6 +80,16 @@ def human_lost(body_id: str) -> str:
     return f"humans/bodies/{body_id}/lost"
 
 
+def human_left(body_id: str) -> str:
+    """Return the topic on which a tracker says, again and again, that a body has left."""
+    return f"humans/bodies/{body_id}/left"
+
+
+def human_goals(body_id: str) -> str:
+    """Return the topic of where a body's hand may go, with how probable each place is."""
+    return f"humans/bodies/{body_id}/goals"
+
+
 def body_topic(topics: Iterable[str], of: Callable[[str], str]) -> str | None:
     """Return the topic of the tracked body (the first by name) among `topics`, None if there is none.
 

@@ -126,7 +126,7 @@ class Graph:
             nodes["simulated_arm"] = self.node("simulated_arm", "scene", "all", **watched, **clock)
         if guard:
             nodes["separation_guard"] = self.node("separation_guard", "scene human", "again", **clock)
-        both = "scene library model predictor human body_id"
+        both = "scene library model predictor human"
         together = planner and predictor and self.on("one_process")
         if planner and not together:
             own: dict[str, Any] = {"controller": "simulated_arm"} if arm else {}

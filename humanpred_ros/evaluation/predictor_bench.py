@@ -40,6 +40,7 @@ from humanpred_ros.human.model import HumanModel, human_named, name_of_human
 from humanpred_ros.motion.bag_library import write_library_bag
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary, placed, turn_and_shift
+from humanpred_ros.occupancy.people import MOST_PEOPLE, PeoplePredictor
 from humanpred_ros.occupancy.predictor import Predictor, PredictorRequest, make_predictor
 from humanpred_ros.plugins import DEFAULT_CLASSIFIER, DEFAULT_PREDICTOR
 from humanpred_ros.reaching.futures import ReachFuturesSettings
@@ -113,7 +114,7 @@ def measure(settings: PredictorBenchSettings, begin: Begin) -> Report:
         update[name] = Spread.of(update_us(predictor, people.played))
         advance(2 + len(update))
     growth = [*_with_classes(people, begin), *_with_voxels(people, model), *_with_frames(people, model, begin)]
-    growth += _with_places(everybody, begin)
+    growth += [*_with_people(people, model), *_with_places(everybody, begin)]
     figures: dict[str, Any] = {
         "library": {"name": library.name, "n_motions": len(library), "n_classes": len(library.labels)},
         "recognition_us": recognition,
@@ -127,7 +128,9 @@ def measure(settings: PredictorBenchSettings, begin: Begin) -> Report:
     return Report(f"{library.name}: one posture", tables, figures, load.notes(), lambda: growth_plot(points, "µs"))
 
 
-def update_us(subject: Predictor | Classifier, motions: Sequence[Motion], n_frames: int | None = None) -> list[float]:
+def update_us(
+    subject: Predictor | Classifier | _AllPeople, motions: Sequence[Motion], n_frames: int | None = None
+) -> list[float]:
     """Return how long each `update` took, in microseconds, over motions that are each started anew.
 
     Args:
@@ -135,6 +138,7 @@ def update_us(subject: Predictor | Classifier, motions: Sequence[Motion], n_fram
         motions: at least one.
         n_frames: only so many first postures of each; None for all.
     """
+    subject.start()
     for q, t_s in _postures(motions[0], _WARM_UP):
         subject.update(q, t_s)
     durations = []
@@ -189,6 +193,30 @@ def _with_frames(people: People, model: TrainedModel, begin: Begin) -> Iterator[
         durations = update_us(_default(model, people.human, people.grid()), [endless])[-_LAST_FRAMES:]
         yield _row(_UPDATE, "frames seen", n_frames, durations)
         advance(sum(_FRAMES_SEEN[:k]))
+
+
+def _with_people(people: People, model: TrainedModel) -> Iterator[dict[str, Any]]:
+    """Up to four people who make the same motions, each with a predictor of their own, and the occupancy of all."""
+    predictor = _default(model, people.human, people.grid())
+    for n in range(1, MOST_PEOPLE + 1):
+        crowd, names = PeoplePredictor(predictor), [f"body_{k}" for k in range(n)]
+        yield _row("update and occupancy of all", "people", n, update_us(_AllPeople(crowd, names), people.played))
+
+
+class _AllPeople:
+    """Several people who move alike, timed as one predictor is."""
+
+    def __init__(self, people: PeoplePredictor, names: Sequence[str]) -> None:
+        self._people, self._names = people, names
+        self.start()
+
+    def start(self) -> None:
+        for name in self._names:
+            self._people.start(name)
+
+    def update(self, q: FloatArray, t_s: float) -> object:
+        self._people.update(dict.fromkeys(self._names, (q, t_s)))
+        return self._people.occupancy(self._names, t_s)
 
 
 def _with_places(everybody: Sequence[People], begin: Begin) -> Iterator[dict[str, Any]]:

@@ -1,38 +1,37 @@
-"""Turns the observed postures of a person into the space the person is going to occupy."""
+"""Turns the observed postures of people into the space that they are going to occupy."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import JointState, PointCloud2
-from std_msgs.msg import Bool, String
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from humanpred_ros import topics
-from humanpred_ros.errors import ArrayError, HumanPredError, UsageError
+from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry import compiled
 from humanpred_ros.geometry.checks import FloatArray
-from humanpred_ros.human.model import TRACKER_FRAMES, human_named
-from humanpred_ros.human.plausible import PlausibilityCheck, PlausibilitySettings
-from humanpred_ros.human.stamps import StampCheck, StampSettings
+from humanpred_ros.geometry.lattice import Occupancy
+from humanpred_ros.human.model import human_named
 from humanpred_ros.motion.library_io import load_library
-from humanpred_ros.motion.motion import placed_postures
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
-from humanpred_ros.nodes.frames import TrackerFrames, tf_lookup
 from humanpred_ros.nodes.lifecycle import NodeSettings
 from humanpred_ros.nodes.markers import future_markers, occupancy_markers
 from humanpred_ros.nodes.occupancy_topics import OccupancyPublisher
 from humanpred_ros.nodes.parameters import declare, declare_plugin, plugin_parameters
+from humanpred_ros.nodes.watched_people import PeopleSettings, WatchedBody, WatchedPeople
+from humanpred_ros.occupancy.people import PeoplePredictor
 from humanpred_ros.occupancy.predictor import (
-    Prediction,
     Predictor,
     PredictorRequest,
     check_predictor,
@@ -46,17 +45,19 @@ from humanpred_ros.reaching.places import places_from_text, places_in_world
 from humanpred_ros.recognition.training import TrainedModel, classifier_settings, load_model, train_model
 from humanpred_ros.resources import locate
 from humanpred_ros.robot.scene import Scene, load_scene
-from humanpred_ros.settings import Settings, setting
+from humanpred_ros.settings import Settings, setting, setting_of
 
 if TYPE_CHECKING:
     from humanpred_ros.reaching.reaching_predictor import ReachingPredictor, ReachingSettings
 
 _MARKER_PERIOD_NS = 200_000_000
+#: How often it is looked for bodies that have appeared, s.
+_LOOK_S = 0.25
 #: How often it is looked at whether the person can get to the goals; people walk, but not far in that time.
 _REACH_PERIOD_NS = 1_000_000_000
 
 
-class OccupancyPredictorSettings(PlausibilitySettings, StampSettings, NodeSettings):
+class OccupancyPredictorSettings(PeopleSettings, NodeSettings):
     """Parameters of `occupancy_predictor`."""
 
     scene: str = setting(
@@ -81,21 +82,13 @@ class OccupancyPredictorSettings(PlausibilitySettings, StampSettings, NodeSettin
         "an installed package's",
         restart="the model was trained, and code compiled, for it",
     )
-    human: str = setting(
-        "kinect12",
-        "whose postures come: kinect12 (P1, 12 DoFs) or mocap23 (P2, 23 DoFs)",
-        restart="the model was trained for it",
-    )
-    human_frame: str = setting(
-        "", "frame the postures must be in; empty: the scene's, else the library's; with TF, others are moved there"
-    )
+    room_m: float = setting_of(PeopleSettings, "room_m", default=0.0)
     places: tuple[str, ...] = setting(
         ("",),
         "reaching only: where the hand may go, each 'label x y z' (world frame, m); [''] asks scene, then library",
         changeable=True,
     )
     detect_onsets: bool = setting(True, "find where motions begin and end; false: the first posture begins one")
-    body_id: str = setting("body_0", "REP-155 body id listened to")
     threshold: float = setting(0.001, "voxels with a higher probability are published", low=0.0, high=1.0)
     listener: str = setting("", "node that must be listening to the occupancy before this one is ready")
     copies: int = setting(
@@ -105,12 +98,16 @@ class OccupancyPredictorSettings(PlausibilitySettings, StampSettings, NodeSettin
 
 
 class OccupancyPredictorNode(GraphNode):
-    """One occupancy, and one class posterior, per posture received.
+    """One occupancy per moment at which people were seen, and one class posterior per person.
+
+    Each body has a predictor of its own; their occupancies are joined as those of people who move independently. Bodies
+    that used to come with the same stamp are waited for, until the next posture of one that has come. A body whose
+    posture does not come counts as predicted last until it is too old.
 
     A posture that cannot be used, or that no person can have, is refused with a counted reason on /diagnostics; what is
-    published then says that nobody knows where people are, and why, so that the planner holds at once. Only a posture
-    that was overtaken on its way is refused silently. A long silence, or postures that were refused for how they look,
-    start a new motion.
+    published then says that nobody knows where people are, and why, so that the planner holds at once; so it does about
+    a body that is lost, until a tracker says that it has left. Only a posture that was overtaken on its way is refused
+    silently. A long silence, or postures that were refused for how they look, start a new motion.
 
     With the predictor `reaching`, the places where the hand may go can be changed while the node runs
     (parameter `places`); those that the person cannot get to are warned about on /diagnostics.
@@ -143,22 +140,15 @@ class OccupancyPredictorNode(GraphNode):
         declare_plugin(self, settings.predictor, own)
 
     def activate(self) -> None:
-        scene, settings = self.scene, self.settings
-        self.plausibility = PlausibilityCheck(
-            self.human, scene.grid, scene.T_world_human, settings.part(PlausibilitySettings)
-        )
-        frame = settings.human_frame or scene.human_frame or self.library_frame or TRACKER_FRAMES[settings.human]
-        self.frames = TrackerFrames(frame.lstrip("/"), scene.T_world_human, tf_lookup(self))
-        self.stamps = StampCheck(settings.part(StampSettings), settings.lossless)
-        # When postures come, on a clock that nobody sets.
-        self.steady_s: Callable[[], float] = time.monotonic
-        self.held = self.doubted = False
+        settings = self.settings
+        self.predictors = PeoplePredictor(self.predictor)
+        #: Postures to predict from and their times (s of the motion, stamp in ns), by body, until all have come.
+        self.pending: dict[str, tuple[FloatArray, float, int]] = {}
         #: Why nobody knows where people are; empty while that is known.
         self.unknown = ""
-        self.first_ns = self.origin_ns = 0
-        self.looked_ns: int | None = None
         self.last_marker_ns = 0
-        self.place_warnings: dict[str, str] = {}
+        self.looked_ns: dict[str, int] = {}
+        self.place_warnings: dict[str, dict[str, str]] = {}
 
         self.occupancies = OccupancyPublisher(self, 1 if settings.lossless else settings.copies)
         self.goal_publisher = self.create_publisher(PointCloud2, topics.HUMAN_GOALS, qos.SENSOR_PUBLISHER)
@@ -166,18 +156,25 @@ class OccupancyPredictorNode(GraphNode):
         self.marker_publisher = self.create_publisher(MarkerArray, topics.OCCUPANCY_MARKERS, qos.MARKERS)
         self.future_publisher = self.create_publisher(MarkerArray, topics.FUTURES, qos.MARKERS)
         self.grid_publisher = self.create_publisher(String, topics.VOXEL_GRID, qos.LATCHED)
-        self.grid_publisher.publish(String(data=conversions.grid_description(scene.grid)))
-        postures = topics.human_joint_states(settings.body_id)
-        self.hardware_id = self.resolve_topic_name(postures).rpartition("/")[0]
-        self.listen(Bool, topics.human_held(settings.body_id), self.on_held, qos.LATCHED)
+        self.grid_publisher.publish(String(data=conversions.grid_description(self.scene.grid)))
+        self.body_goals: dict[str, Any] = {}
+        self.hardware_id = self.resolve_topic_name(topics.NOBODY).rpartition("/")[0]
         # One that plans may be slower than its sensor: old postures that queue up would make it ever later.
         profile = qos.sensor_subscription(settings.lossless, newest_only=settings.predictor == "reaching")
-        max_age_s = math.inf if settings.lossless else settings.restart_gap_s
-        self.listen(JointState, postures, self.on_posture, profile, max_age_s=max_age_s)
-
-    def on_held(self, message: Bool) -> None:
-        """Remember whether the tracker repeats its last posture on purpose."""
-        self.held = message.data
+        self.people = WatchedPeople(
+            self,
+            self.human,
+            self.scene,
+            settings.part(PeopleSettings),
+            self.on_people,
+            frame=self.library_frame,
+            profile=profile,
+            max_age_s=math.inf if settings.lossless else settings.restart_gap_s,
+            lossless=settings.lossless,
+            left=self.on_left,
+        )
+        self.create_timer(_LOOK_S, self.people.look_for_bodies, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.people.look_for_bodies()
 
     def _trained(self, scene: Scene, own: Settings, classifier: dict[str, Any]) -> Predictor:
         """Return one of the predictors that know classes, or nothing, with its settings and the classifier's."""
@@ -261,8 +258,9 @@ class OccupancyPredictorNode(GraphNode):
         try:
             told = [self._told(parameter.value or []) for parameter in parameters if parameter.name == "places"]
             if told and self.reaching is not None:
-                self.reaching.set_places(told[-1] or self.scene_places)
-                self.looked_ns = None
+                for predictor in self.predictors.predictors:
+                    cast("ReachingPredictor", predictor).set_places(told[-1] or self.scene_places)
+                self.looked_ns.clear()
         except UsageError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -271,80 +269,111 @@ class OccupancyPredictorNode(GraphNode):
         return self.unmatched(self.settings.listener, self.occupancies.compact, self.occupancies.cloud)
 
     def working(self) -> str:
-        return "predicting" if self.first_ns else super().working()
+        return "predicting" if self.predictors.predictions else super().working()
 
     def holding_because(self) -> str:
         return self.unknown
 
-    def on_posture(self, message: JointState) -> None:
-        """Predict from one posture and publish; refuse it with a named reason if it cannot be used."""
-        stamp_ns = conversions.stamp_ns(message.header.stamp)
-        now_ns = self.get_clock().now().nanoseconds
-        verdict = self.stamps.judge(stamp_ns, now_ns, self.steady_s())
-        if verdict.refusal:
-            self.refuse(verdict.refusal)
-            if verdict.tell:
-                self._say_unknown(verdict.refusal, now_ns)
+    def facts(self) -> dict[str, str]:
+        return {"people": " ".join(body.name for body in self.people.present) or "nobody"}
+
+    def on_people(self, body: WatchedBody, refusal: str) -> None:
+        """Predict from a posture and publish, once all bodies have come that come together."""
+        if body not in self.people.present or (refusal and refusal != body.trouble):  # one that was overtaken
             return
-        if verdict.begins:
-            self.plausibility.start()
-            self.first_ns, self.doubted = stamp_ns, True
-        try:
-            q = self._believed(message, (stamp_ns - self.first_ns) * 1e-9)
-            if self.doubted:
-                self.predictor.start()
-                self.origin_ns, self.doubted = stamp_ns, False
-            prediction = self.predictor.update(q, (stamp_ns - self.origin_ns) * 1e-9)
-        except HumanPredError as error:
-            self.doubted = True
+        if body.begins and not refusal:
+            try:
+                self.predictors.start(body.name)
+            except UsageError as error:
+                body.doubt(str(error))
+                self.refuse(str(error))
+        if self.pending and (body.trouble or body.name in self.pending):
+            self._predict(publish=not body.trouble)
+        if body.trouble:
+            self._say(body.trouble_ns)
+            return
+        self.pending[body.name] = body.q, body.t_s, body.stamp_ns
+        self._predict_if_complete()
+
+    def _predict_if_complete(self) -> None:
+        """Predict unless another body's posture is to be expected now."""
+        before_ns = {self.people.bodies[name].before_ns for name in self.pending}
+        for other in self.people.present:
+            expected = other.stamp_ns in before_ns or other.came_s == -math.inf
+            if expected and not other.trouble and other.name not in self.pending:
+                return
+        self._predict()
+
+    def on_left(self, stamp_ns: int, nobody: bool) -> None:
+        """Forget who has left, and publish what follows if that had been waited for, or nobody is there."""
+        there = {body.name for body in self.people.present}
+        for name in set(self.people.bodies) - there:
+            self.predictors.forget(name)
+            self.pending.pop(name, None)
+        if self.pending:
+            self._predict_if_complete()
+        elif nobody and not there:
+            self.unknown = ""
+            self.occupancies.publish_nobody(self.scene.grid, stamp_ns)
+
+    def _predict(self, publish: bool = True) -> None:
+        """Predict from the postures that have come."""
+        pending, self.pending = self.pending, {}
+        troubles = self.predictors.update({name: (q, t_s) for name, (q, t_s, _) in pending.items()})
+        for name, error in troubles.items():
+            self.people.bodies[name].doubt(str(error))
             self.refuse(str(error))
-            self._say_unknown(str(error), stamp_ns)
+        if publish:
+            self._say(max(stamp_ns for _, _, stamp_ns in pending.values()))
+        for name, (q, _, stamp_ns) in pending.items():
+            if name not in troubles:
+                self._publish_places(name, stamp_ns)
+                self._look_for_warnings(name, q, stamp_ns)
+        about = {what: text for warnings in self.place_warnings.values() for what, text in warnings.items()}
+        self.warn(about | self.people.warnings())
+
+    def _say(self, stamp_ns: int) -> None:
+        """Publish the occupancy of everybody who is there, or that nobody knows it, and why."""
+        present = self.people.present
+        # How late all of them are, is for whoever plans to judge.
+        now_s = time.monotonic() - min(body.late_s for body in present)
+        of = "" if len(present) == 1 else "; {}"
+        troubles = [
+            body.trouble + of.format(body.name) if body.trouble else self.people.lost(body, now_s) for body in present
+        ]
+        occupancy, self.unknown = None, next((text for text in troubles if text), "")
+        if not self.unknown:
+            try:
+                occupancy = self.predictors.occupancy([body.name for body in present], stamp_ns * 1e-9)
+            except UsageError as error:
+                self.unknown = str(error)
+            if occupancy is not None and not occupancy.probability.any():
+                self.unknown = "outside the lattice: wanted people who reach into it, nobody who is seen does"
+        if occupancy is None or self.unknown:
+            self.occupancies.publish_unknown(self.unknown, stamp_ns)
             return
-        self.unknown = ""
-        self.occupancies.publish(prediction.occupancy, self.settings.threshold, stamp_ns)
-        self._publish_places(prediction, stamp_ns)
-        self._look_for_warnings(q, stamp_ns)
+        self.occupancies.publish(occupancy, self.settings.threshold, stamp_ns)
         if abs(stamp_ns - self.last_marker_ns) >= _MARKER_PERIOD_NS:
             self.last_marker_ns = stamp_ns
-            self._draw(prediction, q, conversions.time_message(stamp_ns))
+            self._draw(occupancy, conversions.time_message(stamp_ns))
 
-    def _draw(self, prediction: Prediction, q: FloatArray, stamp: Time) -> None:
+    def _draw(self, occupancy: Occupancy, stamp: Time) -> None:
         """Publish markers that somebody looks at."""
         if self.marker_publisher.get_subscription_count():
-            self.marker_publisher.publish(occupancy_markers(prediction.occupancy, stamp))
-        futures = getattr(self.predictor, "futures", None)
-        if futures is not None and self.future_publisher.get_subscription_count():
-            T = self.T_world_human
-            ways = [(p, way_m @ T[:3, :3].T + T[:3, 3]) for p, way_m in futures(q)]
-            self.future_publisher.publish(future_markers(ways, stamp))
+            self.marker_publisher.publish(occupancy_markers(occupancy, stamp))
+        if self.future_publisher.get_subscription_count():
+            T, ways = self.T_world_human, []
+            for body in self.people.present:
+                futures = getattr(self.predictors.of(body.name), "futures", None)
+                if futures is not None:
+                    ways += [(p, way_m @ T[:3, :3].T + T[:3, 3]) for p, way_m in futures(body.q)]
+            if ways:
+                self.future_publisher.publish(future_markers(ways, stamp))
 
-    def _say_unknown(self, reason: str, stamp_ns: int) -> None:
-        """Tell whoever plans that nobody knows where people are, and why."""
-        self.unknown = reason
-        self.occupancies.publish_unknown(reason, stamp_ns)
-
-    def _believed(self, message: JointState, t_s: float) -> FloatArray:
-        """Return the posture (D,) of a message in the tracker's frame of the scene.
-
-        Raises:
-            HumanPredError: one that cannot be read, is in a frame that is not known, or is not to be believed.
-        """
-        try:
-            q = conversions.ordered_positions(message, self.human.dof_names)
-            T = self.frames.placement(message.header.frame_id)
-        except ArrayError as error:
-            self.plausibility.unread(t_s, str(error).split(":", 1)[0])
-            raise
-        if T is not None:
-            q = placed_postures(q, self.human.dof_names, T)
-        doubt = self.plausibility.refusal(q, t_s, self.held)
-        if doubt is not None:
-            raise ArrayError(str(doubt))
-        return q
-
-    def _publish_places(self, prediction: Prediction, stamp_ns: int) -> None:
-        """Publish where the hand may go, and how probable each place is."""
-        posterior, T = prediction.posterior, self.T_world_human
+    def _publish_places(self, name: str, stamp_ns: int) -> None:
+        """Publish where a body's hand may go, and how probable each place is."""
+        prediction, T = self.predictors.predictions[name], self.T_world_human
+        posterior = prediction.posterior
         if self.reaching is not None:
             self.goals_m = np.array(list(self.reaching.places.values()))
         if posterior is None or self.goals_m is None:
@@ -353,17 +382,25 @@ class OccupancyPredictorNode(GraphNode):
             # The library's goals, as seen from where this person stands.
             T = T @ np.linalg.inv(prediction.T_library_tracker)
         goals_m = self.goals_m @ T[:3, :3].T + T[:3, 3]
-        self.goal_publisher.publish(conversions.goals_cloud(goals_m, posterior.labels, posterior.probability, stamp_ns))
-        names = [f"class {label}" for label in posterior.labels]
-        self.posterior_publisher.publish(conversions.joint_state(names, np.asarray(posterior.probability), stamp_ns))
+        cloud = conversions.goals_cloud(goals_m, posterior.labels, posterior.probability, stamp_ns)
+        if name not in self.body_goals:
+            topic = topics.human_goals(name)
+            self.body_goals[name] = self.create_publisher(PointCloud2, topic, qos.SENSOR_PUBLISHER)
+        if self.body_goals[name].get_subscription_count():
+            self.body_goals[name].publish(cloud)
+        if name == self.people.present[0].name:
+            self.goal_publisher.publish(cloud)
+            names = [f"class {label}" for label in posterior.labels]
+            numbers = conversions.joint_state(names, np.asarray(posterior.probability), stamp_ns)
+            self.posterior_publisher.publish(numbers)
 
-    def _look_for_warnings(self, q: FloatArray, stamp_ns: int) -> None:
-        """Warn of places told that this person does not get to, of a clock that is behind, and of a moved tracker."""
-        if self.reaching is not None and (self.looked_ns is None or abs(stamp_ns - self.looked_ns) >= _REACH_PERIOD_NS):
-            self.looked_ns = stamp_ns
-            self.place_warnings = self.reaching.warnings(q)
-        others = {"tracker clock": self.stamps.behind(), "tracker frame": self.frames.warning}
-        self.warn({**self.place_warnings, **{about: text for about, text in others.items() if text}})
+    def _look_for_warnings(self, name: str, q: FloatArray, stamp_ns: int) -> None:
+        """Warn of places told that this person does not get to."""
+        looked_ns = self.looked_ns.get(name)
+        if self.reaching is not None and (looked_ns is None or abs(stamp_ns - looked_ns) >= _REACH_PERIOD_NS):
+            self.looked_ns[name] = stamp_ns
+            own = cast("ReachingPredictor", self.predictors.of(name))
+            self.place_warnings[name] = own.warnings(q)
 
 
 main = entry_point(OccupancyPredictorNode)

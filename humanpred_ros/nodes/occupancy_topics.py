@@ -98,6 +98,12 @@ class OccupancyPublisher:
         if self.cloud.get_subscription_count():
             self.cloud.publish(conversions.unknown_cloud(reason, t_ns))
 
+    def publish_nobody(self, grid: VoxelGrid, t_ns: int) -> None:
+        """Publish that nobody is there, as a tracker has said."""
+        self._publish_compact(nobody_message(grid, t_ns))
+        if self.cloud.get_subscription_count():
+            self.cloud.publish(conversions.nobody_cloud(t_ns))
+
     def _publish_compact(self, message: CompressedImage) -> None:
         for _ in range(self._copies):
             self.compact.publish(message)

@@ -11,7 +11,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, PointCloud2
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
@@ -28,6 +28,8 @@ from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.settings import setting
 
 _FLUSH_PERIOD_S = 0.5
+#: How often it is looked for bodies that have appeared, s.
+_LOOK_S = 0.25
 
 
 class RunRecorderSettings(NodeSettings):
@@ -38,7 +40,9 @@ class RunRecorderSettings(NodeSettings):
         "folder of the bag; must not exist yet; a recorder that is activated again adds _2, _3 to it",
         restart="a bag is one folder from beginning to end",
     )
-    body_id: str = setting("body_0", "REP-155 body id recorded")
+    body_id: str = setting(
+        "body_0", "REP-155 body id listened to from the start; bodies that appear later are recorded, too"
+    )
     wait_for: str = setting(
         ",".join((topics.human_joint_states("<id>"), topics.OCCUPANCY, topics.DECISION, topics.JOINT_STATES)),
         "comma-separated topics that must have a publisher before the recorder calls itself ready",
@@ -75,8 +79,7 @@ class RunRecorder(GraphNode):
         self.run_info = {key: str(value) for key, value in info.items()}
         body = settings.body_id
         self.recorded: list[tuple[str, Any, Any]] = [
-            (topics.human_joint_states(body), JointState, qos.LOSSLESS),
-            (topics.human_urdf(body), String, qos.LATCHED),
+            *self._of_body(body),
             (topics.VOXEL_GRID, String, qos.LATCHED),
             (topics.HUMAN_GOALS, PointCloud2, qos.LOSSLESS),
             (topics.POSTERIOR, JointState, qos.LOSSLESS),
@@ -91,7 +94,6 @@ class RunRecorder(GraphNode):
         ]
         if settings.markers:
             self.recorded += [
-                (topics.human_markers(body), MarkerArray, qos.LOSSLESS),
                 (topics.OCCUPANCY_MARKERS, MarkerArray, qos.LOSSLESS),
                 (topics.FUTURES, MarkerArray, qos.LOSSLESS),
                 (topics.CANDIDATES, MarkerArray, qos.LOSSLESS),
@@ -107,6 +109,35 @@ class RunRecorder(GraphNode):
             )
         self.full_names = full
 
+    def _of_body(self, body: str) -> list[tuple[str, Any, Any]]:
+        """Return what is recorded of a body."""
+        recorded = [
+            (topics.human_joint_states(body), JointState, qos.LOSSLESS),
+            (topics.human_urdf(body), String, qos.LATCHED),
+            (topics.human_goals(body), PointCloud2, qos.LOSSLESS),
+            (topics.human_left(body), Header, qos.LOSSLESS),
+        ]
+        if self.settings.markers:
+            recorded.append((topics.human_markers(body), MarkerArray, qos.LOSSLESS))
+        return recorded
+
+    def look_for_bodies(self) -> None:
+        """Record the bodies that have appeared, too."""
+        own = self.resolve_topic_name(topics.human_joint_states("ANY")).split("ANY")
+        for topic, kinds in self.get_topic_names_and_types():
+            if not (topic.startswith(own[0]) and topic.endswith(own[1]) and "sensor_msgs/msg/JointState" in kinds):
+                continue
+            body = topic.removeprefix(own[0]).removesuffix(own[1])
+            if topic not in self.inputs and "/" not in body and self.failure is None:
+                self._record(self._of_body(body))
+                self.writer.add_metadata(TOPICS_RECORD, self.full_names)
+
+    def _record(self, recorded: list[tuple[str, Any, Any]]) -> None:
+        for topic, kind, profile in recorded:
+            self.full_names[topic] = self.resolve_topic_name(topic)
+            self._add(topic, kind, profile)
+            self.listen(kind, topic, partial(self._write, topic), profile, raw=True)
+
     def activate(self) -> None:
         # One that is activated again begins another bag, beside the first one.
         self.output = output = self.settings.output + (f"_{self.activations + 1}" if self.activations else "")
@@ -114,14 +145,14 @@ class RunRecorder(GraphNode):
         self.writer = BagWriter(output)
         self.writer.add_metadata("run", self.run_info)
         self.writer.add_metadata(TOPICS_RECORD, self.full_names)
-        for topic, kind, profile in self.recorded:
-            self._add(topic, kind, profile)
-            self.listen(kind, topic, partial(self._write, topic), profile, raw=True)
+        self._record(self.recorded)
         for topic, kind in FORMS.items():
             self._add(topic, kind, qos.LOSSLESS)
         self.occupancies = OccupancyInput(self, self._write, qos.LOSSLESS, raw=True)
         flush = partial(self._unless_refused, self.writer.flush)
         self.create_timer(_FLUSH_PERIOD_S, flush, clock=self._status_timer.clock)
+        self.create_timer(_LOOK_S, self.look_for_bodies, clock=self._status_timer.clock)
+        self.look_for_bodies()
 
     def _add(self, topic: str, kind: Any, profile: Any) -> None:
         name = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"

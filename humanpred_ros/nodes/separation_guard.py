@@ -30,7 +30,7 @@ from humanpred_ros.nodes.markers import separation_markers
 from humanpred_ros.nodes.measured_arm import MeasuredArm
 from humanpred_ros.nodes.parameters import declare
 from humanpred_ros.nodes.priority import PrioritySettings, threads_named
-from humanpred_ros.nodes.watched_people import PeopleSettings, WatchedPeople
+from humanpred_ros.nodes.watched_people import PeopleSettings, WatchedBody, WatchedPeople
 from humanpred_ros.planning.following import FollowingSettings
 from humanpred_ros.planning.protective_distance import (
     ProtectiveDistance,
@@ -123,6 +123,7 @@ class SeparationGuard(GraphNode):
         self.listen(JointState, topics.JOINT_STATES, self.on_joint_state, qos.ARM, max_age_s=settings.max_arm_age_s)
         if settings.watch_planner:
             self.listen(DiagnosticArray, topics.DECISION, self.on_decision, qos.SENSOR_SUBSCRIBER, raw=True)
+        self.seen: dict[str, SeenBody] = {}
         self.people = WatchedPeople(self, self.human, self.scene, settings.part(PeopleSettings), self.on_people)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # a clock that stands still must not silence the guard
         self.timer = self.create_timer(1.0 / settings.rate_hz, self.look, clock=steady)
@@ -212,15 +213,17 @@ class SeparationGuard(GraphNode):
             if others
             else ""
         )
-        about = {"tracker frame": self.people.frames.warning}
-        about |= {f"clock of {body.name}": body.stamps.behind() for body in self.people.present}
-        self.warn({what: text for what, text in about.items() if text})
+        self.warn(self.people.warnings())
         self.show()
 
-    def on_people(self, sent_ns: int) -> None:
-        """Compare people and arm because a posture came that was sent then."""
+    def on_people(self, body: WatchedBody, refusal: str) -> None:
+        """Compare people and arm because a posture came."""
+        if not refusal:
+            if body.begins:
+                self.seen[body.name] = SeenBody()
+            self.seen[body.name].see(body.q, body.t_s)
         self.look()
-        self.took_ms.append((time.time_ns() - sent_ns) * 1e-6)
+        self.took_ms.append((time.time_ns() - self.inputs[body.topic].sent_ns) * 1e-6)
 
     def look(self) -> None:
         """Compare people and arm, and publish what follows."""
@@ -234,7 +237,7 @@ class SeparationGuard(GraphNode):
             assert self.arm.q is not None
             age_s = max(self.people.age_s(now_s), self._arm_age_s(now_s))
             self.separation = found = self.distance.separation(
-                [body.seen for body in present], self.arm.q, *self._velocity(), age_s
+                [self.seen[body.name] for body in present], self.arm.q, *self._velocity(), age_s
             )
             wanted = found.factor
         factor = self.pace.follow(wanted, now_s)

@@ -64,6 +64,10 @@ class SkeletonTrackerSettings(TrackingSettings, StampSettings, NodeSettings):
     )
     axes: str = setting("", "where the points' x, y, z point, as 'right down forward'; empty: as the skeleton says")
     unit: str = setting("", "of the points: m, cm, mm; empty: as the skeleton says")
+    leave_s: float = setting(
+        0.2, "a body that the tracker's frames have not shown for so long is told to have left; lost until then",
+        unit="s", low=0.0, high=10.0,
+    )  # fmt: skip
     listener: str = setting("", "node that must be listening to the postures before this one is ready")
 
 
@@ -71,7 +75,8 @@ class SkeletonTrackerNode(GraphNode):
     """A posture of body_0, body_1 and so on for each body in each message.
 
     Points that cannot be a person's, a hand that is lost for longer than `hold_s`, stamps and frames that cannot be
-    used lead to no posture, with a counted reason on /diagnostics: whoever plans then holds.
+    used lead to no posture, with a counted reason on /diagnostics: whoever plans then holds. A body that the frames do
+    not show any more is told to have left, again and again.
     """
 
     def __init__(self) -> None:
@@ -107,7 +112,9 @@ class SkeletonTrackerNode(GraphNode):
         self.came_s: dict[str, float] = {}
         self.last_ns = 0
         self.trouble = ""
-        self.published: dict[str, tuple[Any, Any, Any]] = {}
+        self.published: dict[str, tuple[Any, ...]] = {}
+        #: Stamp of the last frame that showed a body, with a posture or without.
+        self.shown_ns: dict[str, int] = {}
         self.said_lost: dict[str, str] = {}
         self.marked_ns: dict[str, int] = {}
         self.newest: dict[str, TrackedPosture] = {}
@@ -119,8 +126,8 @@ class SkeletonTrackerNode(GraphNode):
         self.create_timer(_LOOK_S, self.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.look()
 
-    def _publishers_of(self, body: str) -> tuple[Any, Any, Any]:
-        """Return what speaks of a body: postures, markers, lost points; its URDF is said at the first call."""
+    def _publishers_of(self, body: str) -> tuple[Any, ...]:
+        """Return what speaks of a body: postures, markers, lost points, leaving; its URDF is said at the first call."""
         if body not in self.published:
             held = self.create_publisher(Bool, topics.human_held(body), qos.LATCHED)
             held.publish(Bool(data=False))
@@ -130,6 +137,7 @@ class SkeletonTrackerNode(GraphNode):
                 self.create_publisher(JointState, topics.human_joint_states(body), qos.SENSOR_PUBLISHER),
                 self.create_publisher(MarkerArray, topics.human_markers(body), qos.MARKERS),
                 self.create_publisher(String, topics.human_lost(body), qos.LATCHED),
+                self.create_publisher(Header, topics.human_left(body), qos.SENSOR_PUBLISHER),
             )
         return self.published[body]
 
@@ -225,9 +233,7 @@ class SkeletonTrackerNode(GraphNode):
             self.people.start()
         self.last_ns = stamp_ns
         if not seen.bodies:
-            header = Header(frame_id=self.frame_id, stamp=conversions.time_message(stamp_ns))
-            self.nobody.publish(header)
-            self.newest.clear()
+            self._tell_leaving(stamp_ns)
             return
         try:
             T = self.frames.pose(seen.frame_id)
@@ -236,16 +242,30 @@ class SkeletonTrackerNode(GraphNode):
             return
         self.people.place(self.T_scene_camera if T is None else T, frame_axes=T is not None)
         self._publish(seen.bodies, stamp_ns, others)
+        self._tell_leaving(stamp_ns)
+
+    def _tell_leaving(self, stamp_ns: int) -> None:
+        """Tell of the bodies that a frame and those before it do not show."""
+        there = {body for body, shown in self.shown_ns.items() if abs(stamp_ns - shown) <= self.settings.leave_s * 1e9}
+        header = Header(frame_id=self.frame_id, stamp=conversions.time_message(stamp_ns))
+        if not there:
+            self.nobody.publish(header)
+        elif not self.by_bodies:
+            for body in self.published.keys() - there:
+                self.published[body][3].publish(header)
+        self.newest = {body: posture for body, posture in self.newest.items() if body in there}
 
     def _publish(self, bodies: Bodies, stamp_ns: int, others: Sequence[str]) -> None:
-        self.newest = {name: self.newest[name] for name in self.newest if self.people.people[name].theirs in others}
+        for body in self.newest:  # whose frames are their own
+            if self.people.people[body].theirs in others:
+                self.shown_ns[body] = stamp_ns
         for body, posture in self.people.update(bodies, stamp_ns * 1e-9, others):
             if posture.q is None:
                 self.refuse(posture.refusal)
             if not body:
                 continue
-            self.newest[body] = posture
-            postures, markers, lost = self._publishers_of(body)
+            self.newest[body], self.shown_ns[body] = posture, stamp_ns
+            postures, markers, lost, _ = self._publishers_of(body)
             said = " ".join(dict.fromkeys((*posture.lost, *posture.held)))
             if said != self.said_lost.get(body):
                 self.said_lost[body] = said

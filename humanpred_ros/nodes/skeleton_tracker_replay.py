@@ -1,20 +1,23 @@
-"""Replays a recorded human motion as a skeleton tracker would deliver it."""
+"""Replays recorded human motions as a skeleton tracker would deliver them."""
 
 from __future__ import annotations
 
 import time
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, String
+from std_msgs.msg import Bool, Header, String
 from visualization_msgs.msg import MarkerArray
 
 from humanpred_ros import topics
+from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import human_with
+from humanpred_ros.human.skeletons import pose_of
 from humanpred_ros.motion.library_io import load_library
+from humanpred_ros.motion.motion import Motion, placed, resample
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import entry_point
 from humanpred_ros.nodes.lifecycle import NodeSettings
@@ -36,8 +39,19 @@ class SkeletonTrackerReplaySettings(NodeSettings):
     """Parameters of `skeleton_tracker_replay`."""
 
     library: str = setting("synthetic_reaches", "motion library: a rosbag2 directory, a CSV folder, or a shipped name")
-    trajectory: str = setting("0/0", "motion to replay: class/index, or the running number over sorted classes")
-    body_id: str = setting("body_0", "REP-155 body id, part of the topic names")
+    trajectory: str = setting(
+        "0/0", "motion to replay: class/index, or the running number over sorted classes; with commas those of several "
+        "people at once"
+    )  # fmt: skip
+    body_id: str = setting(
+        "body_0", "REP-155 body id, part of the topic names; of several people with commas, else numbered"
+    )
+    place: str = setting(
+        "", "'x y z roll pitch yaw' (m, rad) by which a person is moved, tracker's frame; with commas for several"
+    )
+    leave_s: float = setting(
+        0.0, "all but the first person leave so long after their motions; 0: they stay", unit="s", low=0.0, high=600.0
+    )
     mode: Literal["real_time", "stepped"] = setting(
         "real_time", "real_time, or stepped: wait for the planner's decision after every posture"
     )
@@ -63,6 +77,8 @@ class SkeletonTrackerReplaySettings(NodeSettings):
 class SkeletonTrackerReplay(SteppedSource):
     """Publishes one motion's postures at their recorded times, at a rate, or step by step.
 
+    Several people are seen in the same frames, those of the longest motion; one who has ended stays, or leaves.
+
     In `stepped` mode the next posture goes out only after the planner's decision on the last one came
     back, so that a run does not depend on how fast the machine is.
     """
@@ -75,11 +91,20 @@ class SkeletonTrackerReplay(SteppedSource):
         self.simulated_time = settings.mode == "stepped" or settings.publish_clock or settings.rate != 1.0
         library = load_library(locate(settings.library, "bags"))
         self.human = human_with(library.dof_names)
-        self.motion = library.find(settings.trajectory)
-        self.offsets_ns, self.postures = self._timeline()
-        self.get_logger().info(
-            f"motion {self.motion.name} of {library.name}: {len(self.motion)} postures, {self.motion.duration_s:.2f} s"
-        )
+        motions = [library.find(name.strip()) for name in settings.trajectory.split(",")]
+        places = [pose_of(text) for text in settings.place.split(",")] if settings.place else []
+        if len(places) > len(motions):
+            raise UsageError(f"parameter place: wanted one for each of {len(motions)} motions, got {len(places)}")
+        motions = [placed(motion, T) for motion, T in zip(motions, places, strict=False)] + motions[len(places) :]
+        self.motion = max(motions, key=lambda motion: motion.duration_s)
+        ids = [name.strip() for name in settings.body_id.split(",")]
+        ids += [name for k in range(len(motions)) if (name := f"body_{k}") not in ids]
+        self.offsets_ns, _ = self._timeline(self.motion)
+        self.people = {name: self._of_frames(motion) for name, motion in zip(ids, motions, strict=False)}
+        for motion in motions:
+            self.get_logger().info(
+                f"motion {motion.name} of {library.name}: {len(motion)} postures, {motion.duration_s:.2f} s"
+            )
 
     def activate(self) -> None:
         settings = self.settings
@@ -87,16 +112,20 @@ class SkeletonTrackerReplay(SteppedSource):
         self.origin_ns = SIMULATED_ORIGIN_NS
         self.last_clock_ns = self.last_marker_ns = -_MARKER_PERIOD_NS
 
-        body = settings.body_id
+        body, *_ = self.people
         self.hardware_id = self.resolve_topic_name(topics.human_joint_states(body)).rpartition("/")[0]
-        self.posture_publisher = self.create_publisher(
-            JointState, topics.human_joint_states(body), qos.SENSOR_PUBLISHER
-        )
-        self.marker_publisher = self.create_publisher(MarkerArray, topics.human_markers(body), qos.MARKERS)
-        self.held_publisher = self.create_publisher(Bool, topics.human_held(body), qos.LATCHED)
-        self.held_publisher.publish(Bool(data=False))
-        self.urdf_publisher = self.create_publisher(String, topics.human_urdf(body), qos.LATCHED)
-        self.urdf_publisher.publish(String(data=self.human.urdf))
+        kinds: tuple[tuple[Any, Any, Any], ...] = (
+            (JointState, topics.human_joint_states, qos.SENSOR_PUBLISHER), (MarkerArray, topics.human_markers,
+            qos.MARKERS), (Bool, topics.human_held, qos.LATCHED), (Header, topics.human_left, qos.SENSOR_PUBLISHER),
+            (String, topics.human_urdf, qos.LATCHED),
+        )  # fmt: skip
+        self.bodies = {
+            name: tuple(self.create_publisher(kind, topic(name), profile) for kind, topic, profile in kinds)
+            for name in self.people
+        }
+        for _, _, held, _, urdf in self.bodies.values():
+            held.publish(Bool(data=False))
+            urdf.publish(String(data=self.human.urdf))
         self.wait_for_graph(
             stepped=settings.mode == "stepped",
             clock=self.simulated_time,
@@ -104,15 +133,25 @@ class SkeletonTrackerReplay(SteppedSource):
             patience_s=(settings.ready_timeout_s, settings.decision_timeout_s),
         )
 
-    def _timeline(self) -> tuple[list[int], FloatArray]:
+    def _timeline(self, motion: Motion) -> tuple[list[int], FloatArray]:
         """Return the offsets from the start (ns) and the postures, the held last posture included."""
-        offsets_ns, recorded = self.motion.timeline(int(self.settings.hold_last_s / self.motion.period_s))
+        offsets_ns, recorded = motion.timeline(int(self.settings.hold_last_s / motion.period_s))
         postures = np.empty_like(recorded)
-        postures[:, [self.human.dof_names.index(name) for name in self.motion.dof_names]] = recorded
+        postures[:, [self.human.dof_names.index(name) for name in motion.dof_names]] = recorded
         return offsets_ns, postures
 
+    def _of_frames(self, motion: Motion) -> tuple[FloatArray, int]:
+        """Return a person's postures in all frames, and how many of them are of the motion; the last one is held."""
+        if motion is self.motion:
+            return self._timeline(motion)[1], len(motion)
+        seen_s = motion.t_s[0] + np.array(self.offsets_ns) * 1e-9
+        n = int((seen_s <= motion.t_s[-1]).sum())
+        _, postures = self._timeline(resample(motion, t_s=seen_s[:n]))
+        return np.vstack([postures[:n], np.repeat(postures[n - 1 : n], len(seen_s) - n, axis=0)]), n
+
     def waiting_for(self) -> str:
-        return super().waiting_for() or self.unmatched(self.settings.listener, self.posture_publisher)
+        missing = (self.unmatched(self.settings.listener, body[0]) for body in self.bodies.values())
+        return super().waiting_for() or next((text for text in missing if text), "")
 
     def begin(self) -> None:
         if not self.simulated_time:
@@ -151,23 +190,35 @@ class SkeletonTrackerReplay(SteppedSource):
         if self.next_frame == len(self.offsets_ns):
             self.finish("the recording has ended")
             return
-        offset_ns, q = self.offsets_ns[self.next_frame], self.postures[self.next_frame]
-        t_ns, frame_id = self.origin_ns + offset_ns, self.motion.frame_id
+        frame, offset_ns = self.next_frame, self.offsets_ns[self.next_frame]
+        t_ns = self.origin_ns + offset_ns
         self.next_frame += 1
         self.sent(t_ns)
         if self.stepped:
             self.publish_clock(t_ns)
-        if self.next_frame == len(self.motion) + 1:  # from now on the last posture is repeated
-            self.held_publisher.publish(Bool(data=True))
-        self.posture_publisher.publish(conversions.joint_state(self.human.dof_names, q, t_ns, frame_id))
-        if self.marker_publisher.get_subscription_count() and offset_ns - self.last_marker_ns >= _MARKER_PERIOD_NS:
+        marked = offset_ns - self.last_marker_ns >= _MARKER_PERIOD_NS
+        for k, name in enumerate(self.people):
+            self._publish(name, frame, t_ns, marked, stays=k == 0 or not self.settings.leave_s)
+        if marked:
             self.last_marker_ns = offset_ns
-            markers = skeleton_markers(self.human.forward(q), frame_id, conversions.time_message(t_ns))
-            self.marker_publisher.publish(markers)
+
+    def _publish(self, name: str, frame: int, t_ns: int, marked: bool, stays: bool) -> None:
+        """Publish what a frame shows of a person: a posture, or that the person has left."""
+        (postures, n), (poses, markers, held, left, _) = self.people[name], self.bodies[name]
+        q, frame_id = postures[frame], self.motion.frame_id
+        if not stays and frame >= n and self.offsets_ns[frame] - self.offsets_ns[n - 1] > self.settings.leave_s * 1e9:
+            left.publish(Header(frame_id=frame_id, stamp=conversions.time_message(t_ns)))
+            return
+        if frame == n:  # from now on the last posture is repeated
+            held.publish(Bool(data=True))
+        poses.publish(conversions.joint_state(self.human.dof_names, q, t_ns, frame_id))
+        if marked and markers.get_subscription_count():
+            markers.publish(skeleton_markers(self.human.forward(q), frame_id, conversions.time_message(t_ns)))
 
     def finish(self, reason: str) -> None:
         """End the work once everything sent has arrived."""
-        self.posture_publisher.wait_for_all_acked(Duration(seconds=1))
+        for postures, *_ in self.bodies.values():
+            postures.wait_for_all_acked(Duration(seconds=1))
         super().finish(reason)
 
 

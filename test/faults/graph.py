@@ -188,7 +188,7 @@ class FaultGraph:
         if node == ARM:
             return scene | {"rate_hz": 100.0}
         if node == PREDICTOR:
-            return scene | {"model": str(self._inputs.model), "predictor": DEFAULT_PREDICTOR}
+            return scene | {"model": str(self._inputs.model), "predictor": DEFAULT_PREDICTOR, "bodies": ["body_0"]}
         if node == PLANNER:
             return scene | {"velocity_scale": VELOCITY_SCALE, "period_s": PERIOD_S, "iterations": ITERATIONS}
         relayed = POSTURES in self._relayed
