@@ -100,7 +100,8 @@ class OccupancyPublisher:
 
     def publish_nobody(self, grid: VoxelGrid, t_ns: int) -> None:
         """Publish that nobody is there, as a tracker has said."""
-        self._publish_compact(nobody_message(grid, t_ns))
+        text = f"{compact_occupancy.NOBODY}{compact_occupancy.lattice_text(grid)}"
+        self._publish_compact(_compact(text, b"", t_ns, "world"))
         if self.cloud.get_subscription_count():
             self.cloud.publish(conversions.nobody_cloud(t_ns))
 
