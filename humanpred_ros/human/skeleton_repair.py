@@ -74,7 +74,10 @@ class SkeletonRepair:
         After `swap_s` of exchanging, the tracker is believed.
         """
         recent = self._last_s >= t_s - _RECENT_S
-        swapped = [parts for parts in _PAIRS if self._is_swapped(points, parts, recent)]
+        swapped = []
+        step = points - self._last
+        if (np.nan_to_num((step * step).sum(axis=1)) > _NEARER_M**2).any():  # else no exchange brings them that nearer
+            swapped = [parts for parts in _PAIRS if self._is_swapped(points, parts, recent)]
         self._swapped_since_s = min(self._swapped_since_s, t_s) if swapped else np.inf
         if t_s - self._swapped_since_s > self._swap_s:
             swapped, self._swapped_since_s = [], np.inf
