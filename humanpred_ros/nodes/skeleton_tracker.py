@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Header, String
 from visualization_msgs.msg import MarkerArray
@@ -22,7 +23,14 @@ from humanpred_ros.human.model import TRACKER_FRAMES, HumanModel
 from humanpred_ros.human.skeleton_tracker import SkeletonTracker, TrackedPeople, TrackedPosture, TrackingSettings
 from humanpred_ros.human.skeletons import load_skeleton, pose_of
 from humanpred_ros.human.stamps import StampCheck, StampSettings
-from humanpred_ros.human.tracker_messages import READERS, Bodies, Ros4HriBody, SeenBodies, seen_bodies
+from humanpred_ros.human.tracker_messages import (
+    READERS,
+    Bodies,
+    Ros4HriBody,
+    SeenBodies,
+    bodies_in_markers,
+    seen_bodies,
+)
 from humanpred_ros.nodes import conversions, qos
 from humanpred_ros.nodes.base import GraphNode, entry_point
 from humanpred_ros.nodes.frames import TrackerFrames, tf_lookup
@@ -40,6 +48,7 @@ _MARKER_PERIOD_NS = 100_000_000
 #: Topics that are named where the wanted one does not come.
 _NAMED = 8
 _JOINT_STATE = "sensor_msgs/msg/JointState"
+_MARKERS = "visualization_msgs/msg/MarkerArray"
 
 
 class SkeletonTrackerSettings(TrackingSettings, StampSettings, NodeSettings):
@@ -168,9 +177,10 @@ class SkeletonTrackerNode(GraphNode):
         self.listen(
             message_type,
             self.settings.topic,
-            partial(self.on_message, kind),
+            partial(self.on_markers, message_type) if kind == _MARKERS else partial(self.on_message, kind),
             qos.SENSOR_SUBSCRIBER,
             max_age_s=self.settings.restart_gap_s,
+            raw=kind == _MARKERS,
         )
 
     def _look_for_bodies(self) -> None:
@@ -206,6 +216,17 @@ class SkeletonTrackerNode(GraphNode):
         now_s = time.monotonic()
         self.came_s[body] = now_s
         self.take(seen, body, [other for other, came_s in self.came_s.items() if now_s - came_s < _PRESENT_S])
+
+    def on_markers(self, kind: Any, data: bytes, _: object) -> None:
+        """Publish the postures of markers, or refuse them with a named reason."""
+        try:
+            seen = bodies_in_markers(bytes(data), self.skeleton)
+            if seen is None:
+                seen = seen_bodies(deserialize_message(data, kind), _MARKERS, self.skeleton)
+        except HumanPredError as error:
+            self.refuse(str(error))
+            return
+        self.take(seen, "")
 
     def on_message(self, kind: str, message: Any) -> None:
         """Publish the postures of a message, or refuse it with a named reason."""

@@ -14,16 +14,17 @@ from paths import REPOSITORY
 
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.human.skeletons import POINTS, load_skeleton, person_points
-from humanpred_ros.human.tracker_messages import seen_bodies
+from humanpred_ros.human.tracker_messages import _decoded_markers, _raw_markers, bodies_in_markers, seen_bodies
 from humanpred_ros.motion.library_io import load_library
 
 pytest.importorskip("rclpy", reason="needs ROS 2: install the `ros` extra")
 import rclpy
 from geometry_msgs.msg import Point, Pose, PoseArray
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState, PointCloud2, PointField
-from std_msgs.msg import Bool, Header, String
-from visualization_msgs.msg import Marker, MarkerArray
+from std_msgs.msg import Bool, ColorRGBA, Header, String
+from visualization_msgs.msg import Marker, MarkerArray, UVCoordinate
 
 from humanpred_ros import topics
 from humanpred_ros.errors import ArrayError, UsageError
@@ -343,3 +344,27 @@ def test_parameters_that_cannot_be_used(parameters: dict[str, str], words: list[
         rig(**parameters)
     for word in words:
         assert word in str(caught.value)
+
+
+def test_serialized_markers_are_read_as_rclpy_reads_them() -> None:
+    rng = np.random.default_rng(0)
+
+    def word() -> str:
+        return "".join(rng.choice(list("abcé/_x"), size=rng.integers(0, 9)))
+
+    for _ in range(200):
+        array = MarkerArray()
+        for _ in range(rng.integers(0, 5)):
+            n = [int(k) for k in rng.integers(0, 3, 5)]
+            marker = Marker(ns=word(), id=int(rng.integers(-5, 300)), action=n[0], text=word(), mesh_resource=word())
+            marker.header.frame_id, marker.texture_resource, marker.texture.format = word(), word(), word()
+            marker.header.stamp.sec, marker.header.stamp.nanosec = (int(k) for k in rng.integers(0, 10**9, 2))
+            marker.pose.position = Point(x=rng.normal(), y=rng.normal(), z=rng.normal())
+            marker.points, marker.colors = [Point(x=1.0)] * n[1], [ColorRGBA()] * n[2]
+            marker.uv_coordinates, marker.texture.data = [UVCoordinate(u=0.1)] * n[3], bytes(3 * n[4])
+            marker.mesh_file.filename, marker.mesh_file.data = word(), bytes(n[4])
+            array.markers.append(marker)
+        data = bytes(serialize_message(array))
+        assert list(_raw_markers(data)) == _decoded_markers(deserialize_message(data, MarkerArray))
+        cut = data[: int(rng.integers(0, max(len(data) - 8, 1)))]  # what is not whole is for rclpy to refuse
+        assert bodies_in_markers(cut, load_skeleton("azure_kinect")) is None or not array.markers

@@ -57,9 +57,11 @@ class Surroundings(NodeClient):
         self.people: dict[str, float] = {}
         self.spoilt: dict[str, Callable[[JointState], JointState | None]] = {}
         self.planner = self.nobody = False
+        self.left: set[str] = set()
         self.decision = DiagnosticArray()
         self.rng = np.random.default_rng(0)
         self._bodies: dict[str, Publisher] = {}
+        self._left: dict[str, Publisher] = {}
         self._at_m: dict[str, float] = {}
         node.create_subscription(String, topics.GUARD_STOP, self._on_stop, qos.COMMAND)
         node.create_subscription(Int16, topics.SPEED_FACTOR, self._on_factor, qos.COMMAND)
@@ -91,6 +93,10 @@ class Surroundings(NodeClient):
             self._publish(self._bodies[body], body, message)
         if self.planner:
             self._decisions.publish(self.decision)
+        for body in self.left - self._left.keys():
+            self._left[body] = self.node.create_publisher(Header, topics.human_left(body), qos.SENSOR_PUBLISHER)
+        for body in self.left:
+            self._left[body].publish(Header(stamp=conversions.time_message(self.now_ns())))
         if self.nobody:
             self._nobody.publish(Header(stamp=conversions.time_message(self.now_ns())))
 
@@ -164,6 +170,22 @@ def test_every_body_counts_and_has_left_only_if_a_tracker_says_so(around: Surrou
     around.people["bert"] = NEAR_M
     around.stops("too close")
     assert " of bert is " in around.stop
+    del around.people["bert"]
+    around.stops("stale human data: bert")
+    around.left.add("bert")  # and not the other one
+    around.moves()
+    around.left.clear()
+    around.people["bert"] = NEAR_M
+    around.stops("too close")
+    around.factors.clear()
+    around.people["bert"] = FAR_M
+    around.moves()
+    del around.people["bert"]
+    around.left.add("bert")
+    around.wait(lambda: around.factors[-30:].count(100) == 30, "the arm to go on although one has left")
+    around.left.clear()
+    around.people["bert"] = FAR_M
+    around.moves()
     del around.people["bert"]
     around.stops("stale human data: bert")
     around.people.clear()
