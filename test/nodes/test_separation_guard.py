@@ -185,7 +185,7 @@ def test_every_body_counts_and_has_left_only_if_a_tracker_says_so(around: Surrou
     around.wait(lambda: around.factors[-30:].count(100) == 30, "the arm to go on although one has left")
     around.left.clear()
     around.people["bert"] = FAR_M
-    around.moves()
+    around.wait(lambda: around.diagnostics[1].get("people") == "2", "both to be seen")
     del around.people["bert"]
     around.stops("stale human data: bert")
     around.people.clear()
