@@ -159,9 +159,24 @@ class Graph:
                 **own,
             )
         if self.on("rviz"):
+            if arm:  # a driver of one's own brings this
+                nodes["robot_state_publisher"] = self._state_publisher(clock)
             file = str(share_directory() / "rviz" / "humanpred.rviz")
             nodes["rviz2"] = Node(package="rviz2", executable="rviz2", arguments=["-d", file], parameters=[clock])
         return nodes
+
+    def _state_publisher(self, clock: dict[str, Any]) -> Node:
+        """Return the node that publishes the description and the transforms of the scene's whole robot."""
+        from humanpred_ros.robot.scene import load_scene  # nobody else needs the compiler here
+
+        text = load_scene(self.value["scene"] or "face_to_face").arm.urdf()
+        described = {"robot_description": ParameterValue(text, value_type=str)}
+        return Node(
+            package="robot_state_publisher",
+            executable="robot_state_publisher",
+            namespace=self.value["namespace"] or None,
+            parameters=[described, clock],
+        )
 
 
 def cannot_start(event: Any, context: LaunchContext) -> list[Action]:

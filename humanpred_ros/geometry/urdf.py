@@ -18,7 +18,8 @@ import hashlib
 import io
 import os
 import pickle
-from collections.abc import Callable, Mapping
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -109,6 +110,63 @@ def parse_description(text: str, folder: Path | None = None) -> Description:
         kept = _parse(text, folder)
         _keep(entry, kept)
     return kept
+
+
+def standing_urdf(text: str, moving: Sequence[str], values: Mapping[str, float], T_world_root: FloatArray) -> str:
+    """Return a URDF with the root `world`, in which all joints but some stand still.
+
+    So that robot_state_publisher shows a whole robot from the joint states of an arm alone.
+
+    Args:
+        text: the URDF.
+        moving: names of the joints that move.
+        values: rad or m of those of the others that are not at zero.
+        T_world_root: (4, 4) where the URDF's root stands.
+    """
+    from scipy.spatial.transform import Rotation
+
+    robot = ElementTree.fromstring(text)
+    joints = robot.findall("joint")
+    children = {joint.find("child").get("link") for joint in joints}  # type: ignore[union-attr]
+    root = next(link for link in robot.iterfind("link") if link.get("name") not in children)
+    name = str(root.get("name"))
+    if name == "world":
+        root.set("name", "robot_root")
+        for parent in robot.iterfind("joint/parent[@link='world']"):
+            parent.set("link", "robot_root")
+
+    def triple(element: ElementTree.Element | None, key: str, default: str) -> FloatArray:
+        return np.array((default if element is None else element.get(key, default)).split(), dtype=np.float64)
+
+    def place(joint: ElementTree.Element, turn: Rotation, xyz: FloatArray) -> None:
+        origin = joint.find("origin")
+        origin = ElementTree.SubElement(joint, "origin") if origin is None else origin
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # at a pitch of 90 degrees other angles say the same
+            rpy = turn.as_euler("xyz")
+        origin.set("xyz", " ".join(map(repr, xyz.tolist())))
+        origin.set("rpy", " ".join(map(repr, rpy.tolist())))
+
+    for joint in joints:
+        if joint.get("type") == "fixed" or joint.get("name") in moving:
+            continue
+        value, origin = values.get(str(joint.get("name")), 0.0), joint.find("origin")
+        turn, xyz = Rotation.from_euler("xyz", triple(origin, "rpy", "0 0 0")), triple(origin, "xyz", "0 0 0")
+        axis = triple(joint.find("axis"), "xyz", "1 0 0")
+        axis = value * axis / np.linalg.norm(axis)
+        if joint.get("type") == "prismatic":
+            place(joint, turn, xyz + turn.apply(axis))
+        else:
+            place(joint, turn * Rotation.from_rotvec(axis), xyz)
+        joint.set("type", "fixed")
+        for part in [part for part in joint if part.tag not in ("parent", "child", "origin")]:
+            joint.remove(part)
+    ElementTree.SubElement(robot, "link", name="world")
+    stand = ElementTree.SubElement(robot, "joint", name="robot_stands", type="fixed")
+    ElementTree.SubElement(stand, "parent", link="world")
+    ElementTree.SubElement(stand, "child", link=str(root.get("name")))
+    place(stand, Rotation.from_matrix(T_world_root[:3, :3]), T_world_root[:3, 3])
+    return ElementTree.tostring(robot, encoding="unicode")
 
 
 def _parse(text: str, folder: Path | None) -> Description:

