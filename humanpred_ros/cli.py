@@ -31,6 +31,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("evaluation.demo:run", "replay, predict and plan over DDS, recorded to MCAP, with a report at the end"),
     "train": ("commands:train", "learn a model from a motion library"),
     "import": ("motion.commands:import_libraries", "turn motion libraries, or recordings of markers, into MCAP bags"),
+    "record": ("nodes.record:record", "make a library of your own people, from the live tracker or a recording"),
     "generate": ("motion.commands:generate", "make a synthetic motion library by simulation"),
     "report": ("commands:report", "write the HTML report of a recorded run"),
     "view": ("viewing.playback:view", "play a recorded run in 3D in a browser"),
@@ -210,7 +211,9 @@ def add_flags(parser: argparse.ArgumentParser, settings_type: type[Settings]) ->
         elif get_origin(field.annotation) is Literal:
             options["metavar"] = "{" + ",".join(kinds[1:]) + "}"
         else:
-            options["metavar"] = (facts.get("unit") or "n" if int in kinds or float in kinds else name).upper()
+            options["metavar"] = (
+                facts.get("unit") or "n" if int in kinds or float in kinds else name.rstrip("_")
+            ).upper()
         if facts.get("bare") is not None:
             options.update(nargs="?", const=facts["bare"])
         elif any(get_origin(kind) is tuple for kind in kinds):
@@ -235,7 +238,7 @@ def flag(settings_type: type[Settings], name: str) -> str:
     field = settings_type.model_fields.get(name)
     if field is not None and facts_of(field).get("positional"):
         return name
-    return f"--{name.replace('_', '-')}"
+    return f"--{name.rstrip('_').replace('_', '-')}"
 
 
 def shown(default: Any) -> str:
