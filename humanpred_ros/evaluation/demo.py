@@ -258,7 +258,13 @@ def _model(
     check_predictor(settings.predictor, settings.classifier)
     human = human_with(library.dof_names)
     if settings.model:
-        load_model(settings.model, human)
+        if known := load_model(settings.model, human).learned_from(motion):
+            console.print(
+                f"{settings.model} was trained on this motion ({known}): what is shown is not how it predicts new "
+                "ones; train without it (--leave-out, --hold-out), or leave --model out",
+                highlight=False,
+                soft_wrap=True,
+            )
         return Path(settings.model)
     if predictor_type(settings.predictor).needs_model:
         training = training_part(library, motion, settings.hold_out)

@@ -7,6 +7,8 @@ in the file name:
 - `class_<k>.csv` with header `traj_id,raw_frame,t_s,<DoFs>`: recorded stamps;
 - `compound_<k>.csv` without header: frame and the 12 DoFs, a motion starts where the frame is 0 (docs/papers.md,
   P1 library).
+
+Other files, long ones with a column of labels or one for each reach, are read by `csv_reaches`.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from humanpred_ros.human.kinect import KINECT12_DOFS
 from humanpred_ros.human.model import HumanModel
 from humanpred_ros.motion.bag_library import read_library_bag
 from humanpred_ros.motion.csv_files import Table, read_rows, read_table
+from humanpred_ros.motion.csv_reaches import reach_files, read_reach_files
 from humanpred_ros.motion.labels import label_order
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.reach_recordings import ACTIVE, FRAME_ID, load_reach_recordings
@@ -41,7 +44,6 @@ _ADVICE = {
     ".bvh": "this is BVH, which is not read yet: export it as C3D, or joint positions to a bag (--skeleton)",
     ".npz": "this is NumPy's, as AMASS publishes: it is not read; put joint positions into a bag (--skeleton)",
     ".zip": "this is an archive: unpack it and name the folder in it",
-    ".csv": "this is a CSV file: name the folder it lies in; files are class_<k>.csv, a column for each DoF",
 }
 _FRAME_COLUMNS = ("frame", "raw_frame")
 
@@ -82,11 +84,13 @@ def load_library(
         return read_library_bag(path, points=points, body=body)
     if any(path.glob(f"*_{ACTIVE}.csv")):
         return _reaching_people(path)
+    if reaches := reach_files(path):
+        return read_reach_files(path, reaches, frame_period_s)
     kinds = {Path(name).suffix for name in names}
     hint = next((f"; {advice}" for suffix, advice in _ADVICE.items() if suffix in kinds), "")
     raise LibraryFormatError(
-        f"{path}: wanted a folder with class_<k>.csv or <name>_{ACTIVE}.csv files, or a bag (folder, .mcap, .db3, "
-        f".bag), got none of these{hint}"
+        f"{path}: wanted CSV files (class_<k>.csv, <name>_{ACTIVE}.csv, one with a column of labels, or one for each "
+        f"reach in folders named by label), or a bag (folder, .mcap, .db3, .bag), got none of these{hint}"
     )
 
 

@@ -21,7 +21,14 @@ from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, MotionLibrary
 from humanpred_ros.motion.tracker_recordings import read_tracker_recording
 from humanpred_ros.reaching.places import places_in_world
-from humanpred_ros.recognition.reach_cutter import ReachCutter, ends_m, labels_by_cluster, labels_by_place, misplaced
+from humanpred_ros.recognition.reach_cutter import (
+    NO_REACH,
+    ReachCutter,
+    ends_m,
+    labels_by_cluster,
+    labels_by_place,
+    misplaced,
+)
 from humanpred_ros.robot.scene import load_scene
 from humanpred_ros.settings import Settings, setting
 
@@ -178,6 +185,8 @@ class Session:
                 _write(self.settings, self.reaches, "live", self.refused)
                 return f"{label}: {self.counts[label]} of {self.settings.count}"
         self.refused[why] += 1
+        if why.startswith(NO_REACH):
+            return ""
         return f"{label}: refused, {why}; once more"
 
 
@@ -213,9 +222,10 @@ def _record_live(settings: RecordSettings, labels: list[str], console: Console) 
         seen: tuple[str, ...] = ()
         asked: tuple[str | None, int] = (None, -1)
         listening, look_s, tell_s = "", 0.0, time.monotonic() + _SAY_S
-        while (label := session.next_label) is not None:
+        while session.next_label is not None:
             executor.spin_once(timeout_sec=_LOOK_S)
-            if (label, session.counts[label]) != asked and listening:
+            label = session.next_label
+            if label is not None and (label, session.counts[label]) != asked and listening:
                 asked = label, session.counts[label]
                 say(f"next: {label} ({session.counts[label]} of {settings.count} there)")
             if (now_s := time.monotonic()) < look_s:

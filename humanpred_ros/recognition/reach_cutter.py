@@ -23,6 +23,8 @@ _SHORTEST_S, _LONGEST_S, _LEAST_WAY_M, _LEAST_FRAMES = 0.3, 20.0, 0.1, 8
 #: Ends of the hand closer than this are one place, where nobody says how many there are; and a told place is meant
 #: within this.
 _ONE_PLACE_M, _NEAR_M = 0.2, 0.3
+#: Begins what is said of movements that are none: people shift and scratch between reaches.
+NO_REACH = "no reach"
 #: A place is reached for at least this often, as a share of the place reached for most.
 _LEAST_SHARE = 0.25
 
@@ -76,7 +78,7 @@ class ReachCutter:
 
     def _judged(self, frames: Sequence[tuple[float, FloatArray]], lasted_s: float) -> Cut:
         if not _SHORTEST_S <= lasted_s <= _LONGEST_S or len(frames) < _LEAST_FRAMES:
-            return Cut(None, f"moved for {lasted_s:.1f} s, a reach takes {_SHORTEST_S} to {_LONGEST_S:.0f} s")
+            return Cut(None, f"{NO_REACH}: moved for less than {_SHORTEST_S} or more than {_LONGEST_S:.0f} s")
         t_s = np.array([stamp for stamp, _ in frames])
         q = np.array([posture for _, posture in frames])
         try:
@@ -85,7 +87,7 @@ class ReachCutter:
             return Cut(None, str(error))
         away_m = float(np.linalg.norm(farthest_palm_m(self.human, q) - farthest_palm_m(self.human, q[:1])))
         if away_m < _LEAST_WAY_M:
-            return Cut(None, f"the hand went only {away_m:.2f} m")
+            return Cut(None, f"{NO_REACH}: the hand went less than {_LEAST_WAY_M} m")
         for flag in flag_library(MotionLibrary("cut", (motion,)), model=self.human):
             if flag.reason in ("jump", "wild", "gap"):
                 return Cut(None, str(flag).partition(": ")[2])

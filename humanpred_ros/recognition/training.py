@@ -88,6 +88,17 @@ class TrainedModel:
             )
         return trained.fresh(settings)
 
+    def learned_from(self, motion: Motion) -> str:
+        """Return the name of the motion learned from that has these postures, at any place; empty if none has."""
+        # A person who stands elsewhere moves in the same way: the pelvis is no difference.
+        still = [d for d, name in enumerate(motion.dof_names) if not name.startswith("Pelvis")]
+        same = (
+            known.name
+            for known in self.library
+            if known.q.shape == motion.q.shape and np.allclose(known.q[:, still], motion.q[:, still], atol=1e-6)
+        )
+        return next(same, "")
+
     @cached_property
     def places(self) -> Mapping[str, FloatArray]:
         """Where each class reaches to, (3,) by label, library's frame: the median of its motions' `farthest_palm_m`."""

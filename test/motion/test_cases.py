@@ -187,7 +187,6 @@ def test_what_is_recognised_but_not_read_says_what_to_do(
         "../07_other_storage/kinetic.bag": "ROS 1 bag",
         "walk.c3d": "C3D, recordings of markers: import it with --markers",
         "02_01.bvh": "BVH", "bvh_folder": "BVH", "amass.npz": "NumPy", "library.zip": "unpack it",
-        "class_0.csv": "name the folder it lies in",
     }.items():  # fmt: skip
         status, said = run(capsys, "import", folder / name, "--out", tmp_path)
         assert (status, words in said) == (2, True), said

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from paths import shared_data
+from small_library import small_library
 
 from humanpred_ros.errors import BagError, LibraryFormatError
 from humanpred_ros.human.model import HumanModel
@@ -257,3 +258,34 @@ def test_what_is_written_reads_back_bit_for_bit(data: st.DataObject, tmp_path_fa
     write_csv_library(MotionLibrary("out", tuple(motions)), folder)
     for old, new in zip(motions, read_csv_library(folder, dof_names=("slide", "turn")), strict=True):
         assert (new.name, new.t_s.tobytes(), new.q.tobytes()) == (old.name, old.t_s.tobytes(), old.q.tobytes())
+
+
+def test_csv_files_as_people_write_them_are_reaches(tmp_path: Path) -> None:
+    library = small_library(2, 2, 12)
+    titles = ",".join(library.dof_names)
+
+    def rows(motion: Motion, *more: str) -> list[str]:
+        frames = zip(motion.t_s, motion.q, strict=True)
+        return [",".join([*more, f"{t:.6f}", *map(repr, q.tolist())]) for t, q in frames]
+
+    names = {"0": "große Schraube", "10": "screws"}
+    long = [f"Label,Rep,Time [s],{titles}"]
+    for motion in library:
+        long += rows(motion, names[str(motion.label)], str(motion.index))
+    (tmp_path / "day.csv").write_text("\n".join(long), encoding="utf-8")
+    for motion in library:
+        folder = tmp_path / "by_label" / names[str(motion.label)]
+        folder.mkdir(parents=True, exist_ok=True)
+        lines = [f"time,{titles}", *rows(motion)]
+        lines.insert(5, lines[4])  # a row that was written twice costs itself
+        (folder / f"take_{motion.index}.CSV").write_text("\n".join(lines))
+    for path, said in ((tmp_path / "day.csv", None), (tmp_path / "by_label", "4 rows at a time that was told")):
+        found = load_library(path)
+        assert [motion.name for motion in found] == [f"{names[str(m.label)]}/{m.index}" for m in library]
+        assert found.provenance.get("left out") == said
+        for got, wanted in zip(found, library, strict=True):
+            np.testing.assert_array_equal(got.q, wanted.q)
+            np.testing.assert_allclose(got.t_s, wanted.t_s, atol=1e-5)
+    (tmp_path / "bad.csv").write_text("label,time\na/b,0\n")
+    with pytest.raises(LibraryFormatError, match="columns missing: PelvisTransX"):
+        load_library(tmp_path / "bad.csv")

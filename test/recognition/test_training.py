@@ -11,6 +11,7 @@ from small_library import small_library
 
 from humanpred_ros.errors import HumanModelError, LibraryFormatError, SettingsError, UsageError
 from humanpred_ros.human.model import HumanModel
+from humanpred_ros.motion.motion import placed, turn_and_shift
 from humanpred_ros.recognition.forest import ForestSettings
 from humanpred_ros.recognition.forest_classifier import ForestClassifier
 from humanpred_ros.recognition.gmm_classifier import GmmClassifier, GmmSettings
@@ -97,3 +98,10 @@ def test_what_does_not_suffice_is_refused() -> None:
     renamed = replace(library, motions=tuple(replace(m, dof_names=("elbow", *m.dof_names[1:])) for m in library))
     with pytest.raises(HumanModelError, match="elbow"):
         train_model(renamed, HUMAN, GMM)
+
+
+def test_a_motion_that_was_learned_from_is_known_also_at_another_place() -> None:
+    model, seen = train_model(small_library(2), HUMAN, {}), small_library(2).motions[3]
+    for T in (np.eye(4), turn_and_shift(0.7, (0.3, -0.2, 0.0))):
+        assert model.learned_from(placed(seen, T)) == seen.name
+    assert model.learned_from(seen.with_postures(seen.q + 1e-3)) == ""
