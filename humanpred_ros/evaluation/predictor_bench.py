@@ -125,7 +125,9 @@ def measure(settings: PredictorBenchSettings, begin: Begin) -> Report:
     }
     points = [(row["what"], row["size"], row["name"], row["us"].median) for row in growth]
     tables = tuple(_tables(figures))
-    return Report(f"{library.name}: one posture", tables, figures, load.notes(), lambda: growth_plot(points, "µs"))
+    one, two = (row["us"].median for row in growth if row["what"] == "people" and row["size"] <= 2)
+    notes = (f"Two people take {two / one:.2f} times as long as one.", *load.notes())
+    return Report(f"{library.name}: one posture", tables, figures, notes, lambda: growth_plot(points, "µs"))
 
 
 def update_us(
