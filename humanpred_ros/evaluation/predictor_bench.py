@@ -140,7 +140,6 @@ def update_us(
         motions: at least one.
         n_frames: only so many first postures of each; None for all.
     """
-    subject.start()
     for q, t_s in _postures(motions[0], _WARM_UP):
         subject.update(q, t_s)
     durations = []

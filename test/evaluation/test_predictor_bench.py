@@ -105,7 +105,7 @@ def test_everything_is_measured_and_written(tmp_path: Path, monkeypatch: pytest.
     assert set(bench["update_us"]) == set(plugins.names(plugins.PREDICTORS))
     assert all(spread["n"] == 40 and spread["median"] > 0 for spread in bench["update_us"].values())
     assert {row["what"]: row["size"] for row in bench["growth"]} == {
-        "classes": 4, "voxels": 2457600, "frames seen": 40, "places": 3,
+        "classes": 4, "voxels": 2457600, "frames seen": 40, "people": 4, "places": 3,
     }  # fmt: skip
     assert [(row["name"].split(", ")[1:], row["size"]) for row in bench["growth"] if row["what"] == "places"] == [
         ([human, "16 futures for each"], size) for size in (1, 3) for human in ("kinect12", "mocap23")
