@@ -390,7 +390,7 @@ class OccupancyPredictorNode(GraphNode):
             self.body_goals[name].publish(cloud)
         if name == self.people.present[0].name:
             self.goal_publisher.publish(cloud)
-            names = [f"class {label}" for label in posterior.labels]
+            names = list(map(str, posterior.labels))
             numbers = conversions.joint_state(names, np.asarray(posterior.probability), stamp_ns)
             self.posterior_publisher.publish(numbers)
 

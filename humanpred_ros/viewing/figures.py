@@ -177,6 +177,11 @@ def goal_colours(names: Iterable[str]) -> dict[str, str]:
     return {name: colours[name] for name in names}
 
 
+def class_title(label: str) -> str:
+    """Return what a class is called in a sentence: its label, or "class 3" where that is a number."""
+    return f"class {label}" if label.isdigit() else label
+
+
 def class_style(index: int) -> dict[str, Any]:
     """Return colour and dashes of the class at `index` of the sorted labels."""
     return {"color": CLASSES[index % len(CLASSES)], "linestyle": DASHES[index % len(DASHES)]}

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from humanpred_ros.errors import printable
 from humanpred_ros.viewing.analysis import Belief, RunSummary, StepRow, Switch
+from humanpred_ros.viewing.figures import class_title
 from humanpred_ros.viewing.recorded import LatencyFigures
 from humanpred_ros.viewing.reliability import MOVING
 
@@ -46,10 +47,10 @@ def story(summary: RunSummary) -> str:
     parts = []
     known = summary.recognised
     if known is not None and known.t_s is not None:
-        parts.append(f"The person reached for class {known.true_class}, most probable from {known.t_s:.2f} s on")
+        parts.append(f"The person reached for {class_title(known.true_class)}, most probable from {known.t_s:.2f} s on")
     elif summary.beliefs:
         last = summary.beliefs[-1]
-        what = "nothing that was learned" if last.rather_unknown else f"class {last.best_class}"
+        what = "nothing that was learned" if last.rather_unknown else class_title(last.best_class)
         parts.append(f"The person reached, it seems, for {what}")
     if summary.switches:
         turns = [_turn(switch) for switch in summary.switches[:_MOST_LISTED]]
@@ -160,14 +161,14 @@ def _switch(summary: RunSummary) -> _Said:
 def _recognition(summary: RunSummary) -> _Said:
     recognised, beliefs = summary.recognised, summary.beliefs
     if recognised is None and beliefs:
-        found = ["none" if belief.rather_unknown else f"class {belief.best_class}" for belief in beliefs]
+        found = ["none" if belief.rather_unknown else class_title(belief.best_class) for belief in beliefs]
         return _listed(found), f"most probable {_at_the_end(beliefs)}; the true class is not known"
     if recognised is None:
         return "–", "no posterior was recorded that tells classes apart"
     if recognised.t_s is None:
-        return "no", f"true class {recognised.true_class}", True
+        return "no", f"true {class_title(recognised.true_class)}", True
     share = f"{recognised.t_s:.2f} s" if recognised.percent is None else f"at {recognised.percent:.0f} %"
-    return share, f"class {recognised.true_class}, most probable from {recognised.t_s:.2f} s on"
+    return share, f"{class_title(recognised.true_class)}, most probable from {recognised.t_s:.2f} s on"
 
 
 def _unknown(summary: RunSummary) -> _Said:

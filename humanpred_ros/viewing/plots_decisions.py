@@ -47,7 +47,7 @@ def posterior_plot(analysis: Analysis) -> Figure:
             continue
         true = summary.recognised is not None and summary.recognised.true_class == label
         style = look.class_style(k) | ({"linewidth": 2.6} if true else {})
-        axes.plot(track.t_s, column, drawstyle="steps-post", label=f"class {label}{' (true)' * true}", **style)
+        axes.plot(track.t_s, column, drawstyle="steps-post", label=look.class_title(label) + " (true)" * true, **style)
     if track.unknown.any():
         # An area, where the classes are lines: it is what they leave.
         axes.fill_between(
