@@ -102,6 +102,8 @@ def _each(what: str, tolerance: ArrayLike) -> FloatArray:
 
 _CONVERGED = 1e-6
 """Error left of a solution, m and rad: far below what a robot's encoders tell apart."""
+#: Kept where no solution is farther from the limits: more than single precision loses.
+_LEAST_MARGIN_RAD = 1e-4
 #: Where few are found, as of an arm that is nearly stretched, other seeds are tried, so many times at most.
 _ENOUGH, _ROUNDS = 8, 4
 
@@ -116,7 +118,7 @@ class InverseKinematicsSettings(Settings):
     )
     limit_margin_rad: float = setting(
         0.02,
-        "Distance of solutions from the joint limits: on a limit, single precision may be beyond",
+        "Distance of solutions from the joint limits, where there are any; else 0.0001",
         low=0.0,
         high=1.0,
     )
@@ -150,17 +152,20 @@ def solve_tool_pose(
     """
     settings = settings or InverseKinematicsSettings()
     start = checked("inverse kinematics: start", start, (arm.chain.n_joints,))
-    lower, upper = arm.chain.lower + settings.limit_margin_rad, arm.chain.upper - settings.limit_margin_rad
+    margin_rad = settings.limit_margin_rad
     inside = target.tightened(2.0 * _CONVERGED)
     chain = arm.chain
-    problem = (chain.joints, chain.T_last_tool.copy(), *inside.parts, start, chain.continuous.copy(), lower, upper)
+    problem = (chain.joints, chain.T_last_tool.copy(), *inside.parts, start, chain.continuous.copy())
     solutions = np.empty((0, chain.n_joints))
     missing = np.full(2, np.inf)
     for k in range(_ROUNDS):
+        if k and not len(solutions):  # a stretched arm may reach the pose at its limits alone
+            margin_rad = min(margin_rad, _LEAST_MARGIN_RAD)
+        lower, upper = chain.lower + margin_rad, chain.upper - margin_rad
         q = _seeds(arm, start, lower, upper, settings, k)
         # Every second one is drawn towards the start.
         drawn = np.arange(len(q)) % 2 == 0
-        error = converge(q, drawn, *problem, settings.n_iterations, _CONVERGED)
+        error = converge(q, drawn, *problem, lower, upper, settings.n_iterations, _CONVERGED)
         lengths = _missing(error)
         missing = min(missing, lengths[int(np.argmin(np.linalg.norm(error, axis=1)))], key=np.linalg.norm)
         reached = q[(lengths <= _CONVERGED).all(axis=1)]
