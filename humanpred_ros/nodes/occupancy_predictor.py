@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, cast
 
@@ -336,7 +335,7 @@ class OccupancyPredictorNode(GraphNode):
         """Publish the occupancy of everybody who is there, or that nobody knows it, and why."""
         present = self.people.present
         # How late all of them are, is for whoever plans to judge.
-        now_s = time.monotonic() - min(body.late_s for body in present)
+        now_s = self.people.steady_s() - min(body.late_s for body in present)
         of = "" if len(present) == 1 else "; {}"
         troubles = [
             body.trouble + of.format(body.name) if body.trouble else self.people.lost(body, now_s) for body in present

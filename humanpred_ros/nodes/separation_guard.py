@@ -124,6 +124,7 @@ class SeparationGuard(GraphNode):
         if settings.watch_planner:
             self.listen(DiagnosticArray, topics.DECISION, self.on_decision, qos.SENSOR_SUBSCRIBER, raw=True)
         self.seen: dict[str, SeenBody] = {}
+        self.compared: list[WatchedBody] = []  #: with the arm, for `separation`
         self.people = WatchedPeople(self, self.human, self.scene, settings.part(PeopleSettings), self.on_people)
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # a clock that stands still must not silence the guard
         self.timer = self.create_timer(1.0 / settings.rate_hz, self.look, clock=steady)
@@ -232,12 +233,12 @@ class SeparationGuard(GraphNode):
         self.separation = None
         stop = self._trouble(now_s)
         wanted = 0.0 if stop else 1.0
-        present = self.people.present
-        if not stop and present:
+        self.compared = self.people.present
+        if not stop and self.compared:
             assert self.arm.q is not None
             age_s = max(self.people.age_s(now_s), self._arm_age_s(now_s))
             self.separation = found = self.distance.separation(
-                [self.seen[body.name] for body in present], self.arm.q, *self._velocity(), age_s
+                [self.seen[body.name] for body in self.compared], self.arm.q, *self._velocity(), age_s
             )
             wanted = found.factor
         factor = self.pace.follow(wanted, now_s)
@@ -285,7 +286,7 @@ class SeparationGuard(GraphNode):
         return max(shown, told, key=lambda one: abs(one[0]).max() / max(one[1], 0.01))
 
     def _pair(self, found: Separation) -> str:
-        body, joint = self.people.present[found.body].name, self.scene.arm.link_names[found.arm_link]
+        body, joint = self.compared[found.body].name, self.scene.arm.link_names[found.arm_link]
         return (
             f"{found.body_link} of {body} is {found.distance_m:.2f} m from {joint}, protective distance "
             f"{found.protective_m:.2f} m"

@@ -15,7 +15,6 @@ from humanpred_ros import topics
 from humanpred_ros.errors import UsageError
 from humanpred_ros.geometry.checks import FloatArray
 from humanpred_ros.human.model import human_with
-from humanpred_ros.human.skeletons import pose_of
 from humanpred_ros.motion.library_io import load_library
 from humanpred_ros.motion.motion import Motion, placed, resample
 from humanpred_ros.nodes import conversions, qos
@@ -92,7 +91,11 @@ class SkeletonTrackerReplay(SteppedSource):
         library = load_library(locate(settings.library, "bags"))
         self.human = human_with(library.dof_names)
         motions = [library.find(name.strip()) for name in settings.trajectory.split(",")]
-        places = [pose_of(text) for text in settings.place.split(",")] if settings.place else []
+        places = []
+        if settings.place:
+            from humanpred_ros.human.skeletons import pose_of  # rotations of scipy take memory
+
+            places = [pose_of(text) for text in settings.place.split(",")]
         if len(places) > len(motions):
             raise UsageError(f"parameter place: wanted one for each of {len(motions)} motions, got {len(places)}")
         motions = [placed(motion, T) for motion, T in zip(motions, places, strict=False)] + motions[len(places) :]

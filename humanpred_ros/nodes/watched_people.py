@@ -10,6 +10,7 @@ import math
 import re
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from rclpy.qos import QoSProfile
@@ -78,9 +79,9 @@ class WatchedBody:
         self.came_s, self.late_s, self.stamp_ns, self.before_ns = -math.inf, 0.0, 0, 0
         self._first_ns, self._origin_ns, self._doubted = 0, 0, True
 
-    def take(self, message: JointState, human: HumanModel, frames: TrackerFrames, now_ns: int) -> str:
+    def take(self, message: JointState, human: HumanModel, frames: TrackerFrames, now_ns: int, now_s: float) -> str:
         """Take a posture; return why it is refused. Raises HumanPredError where that is told at once."""
-        stamp_ns, now_s = conversions.stamp_ns(message.header.stamp), time.monotonic()
+        stamp_ns = conversions.stamp_ns(message.header.stamp)
         self.foreign = bool(message.name) and all(name.endswith(f"_{self.name}") for name in message.name)
         if self.foreign:
             self.trouble_ns = now_ns
@@ -132,7 +133,10 @@ class WatchedPeople:
     Attributes:
         bodies: by id, those that have left included.
         frames: where their trackers' frames are.
+        steady_s: a clock that nobody sets, s.
     """
+
+    steady_s: Callable[[], float] = staticmethod(time.monotonic)
 
     def __init__(
         self,
@@ -257,20 +261,6 @@ class WatchedPeople:
         stamps = StampCheck(settings.part(StampSettings), self._lossless)
         body = self.bodies[name] = WatchedBody(name, topic, plausibility, stamps)
 
-        def on_posture(message: JointState) -> None:
-            try:
-                refusal = body.take(message, self._human, self.frames, self._node.get_clock().now().nanoseconds)
-                if not refusal:
-                    body.gone = False
-            except HumanPredError as error:
-                refusal = str(error)
-                body.doubt(refusal)
-                body.gone = False  # whoever comes back with bad data is there
-            body.appeared, self._node.inputs[topic].max_age_s = True, self._max_age_s
-            if refusal and not (body.foreign and body.served):
-                self._node.refuse(refusal)
-            self._changed(body, refusal)
-
         def on_held(message: Bool) -> None:
             body.held = message.data
 
@@ -279,8 +269,24 @@ class WatchedPeople:
 
         self._node.listen(Bool, topics.human_held(name), on_held, qos.LATCHED)
         self._node.listen(Header, topics.human_left(name), on_left, qos.SENSOR_SUBSCRIBER)
-        self._node.listen(JointState, topic, on_posture, self._profile)
+        self._node.listen(JointState, topic, partial(self.take, body), self._profile)
         return body
+
+    def take(self, body: WatchedBody, message: JointState) -> None:
+        """Take a posture of a body."""
+        try:
+            now_ns = self._node.get_clock().now().nanoseconds
+            refusal = body.take(message, self._human, self.frames, now_ns, self.steady_s())
+            if not refusal:
+                body.gone = False
+        except HumanPredError as error:
+            refusal = str(error)
+            body.doubt(refusal)
+            body.gone = False  # whoever comes back with bad data is there
+        body.appeared, self._node.inputs[body.topic].max_age_s = True, self._max_age_s
+        if refusal and not (body.foreign and body.served):
+            self._node.refuse(refusal)
+        self._changed(body, refusal)
 
     def _on_nobody(self, message: Header) -> None:
         self._leave(list(self.bodies.values()), message, nobody=True)
@@ -293,7 +299,7 @@ class WatchedPeople:
             self._node.refuse(f"nobody there: wanted this said now, got a stamp {late_s:.3g} s ago")
             return
         if nobody:
-            self._nobody_s = time.monotonic() - max(late_s, 0.0)
+            self._nobody_s = self.steady_s() - max(late_s, 0.0)
         for body in bodies:
             if body.stamp_ns < stamp_ns and body.trouble_ns < stamp_ns:
                 body.gone, body.trouble = True, ""

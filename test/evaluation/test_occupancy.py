@@ -244,7 +244,7 @@ def test_the_place_that_is_not_told_is_the_tested_motions_own(monkeypatch: pytes
     monkeypatch.setattr(occupancy_module, "answers", noted)
     runs = runs_of("reaching", percents=(10, 40))
     found = [*runs("10/1"), *runs("20/1")]
-    assert shown == [(0, 10, 20), (0, 20), (0, 10, 20), (0, 10)]
+    assert shown == [("0", "10", "20"), ("0", "20"), ("0", "10", "20"), ("0", "10")]
     for listed, unlisted, _ in found:
         assert unlisted is not None
         assert [score["n_swept"] for score in unlisted.scores] == [score["n_swept"] for score in listed.scores]

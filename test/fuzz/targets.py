@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Bool, Int16
+from std_msgs.msg import Int16
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from fuzz.mutations import Mutator
@@ -170,17 +170,18 @@ class PredictorTarget(Target):
         q = motion[self.frame % len(motion)] + 1e-4 * spoil.rng.standard_normal(motion.shape[1])
         self.frame += 1
         message = conversions.joint_state(bench.human.dof_names, q, now_ns - 10_000_000, bench.frame_id)
+        body = node.people.bodies["body_0"]
         if not spoiled:
-            yield Case(node.on_posture, (message,), good=True)
+            yield Case(node.people.take, (body, message), good=True)
             return
         if spoil.rng.random() < 0.02:
-            yield Case(node.on_held, (Bool(data=bool(spoil.rng.integers(2))),))
+            yield Case(setattr, (body, "held", bool(spoil.rng.integers(2))))
         if spoil.rng.random() < 0.02:
             texts = ["3 -0.2 -0.67 0.8", spoil.text("1 0 0 1"), f"1 {spoil.number()} {spoil.number(-0.7)} 0.8"]
             yield Case(node.set_parameters, ([Parameter("places", value=texts)],))
             yield Case(node.set_parameters, ([Parameter("places", value=[""])],))
         spoil.message(message)
-        yield Case(node.on_posture, (message,), unusable=self._unusable(message, bench, now_ns))
+        yield Case(node.people.take, (body, message), unusable=self._unusable(message, bench, now_ns))
         if spoil.rng.random() < 0.1:
             yield Case(node.publish_status, ())
 

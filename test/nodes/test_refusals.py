@@ -85,7 +85,7 @@ class PredictorWithClock:
     def __init__(self, make: Callable[..., Any], **parameters: str) -> None:
         self.node = make(OccupancyPredictorNode, {"predictor": "current", "use_sim_time": "true", **parameters})
         self.node.occupancies.compact.publish = self._take
-        self.node.steady_s = lambda: self.now_s
+        self.node.people.steady_s = lambda: self.now_s
         self.now_s, self.rng = 0.0, np.random.default_rng(0)
         self.said: list[str] = []
 
@@ -109,7 +109,7 @@ class PredictorWithClock:
         for name, value in changes.items():
             setattr(message.header if name == "frame_id" else message, name, value)
         before = len(self.said)
-        self.node.on_posture(message)
+        self.node.people.take(self.node.people.bodies["body_0"], message)
         return self.said[-1] if len(self.said) > before else None
 
     def stream(self, begin_s: float, end_s: float, ahead_s: float = 0.0, **changes: Any) -> list[str | None]:
@@ -181,7 +181,7 @@ def test_where_tf_is_postures_of_other_frames_are_where_it_says(ros: Callable[..
             raise LookupError("no such frame")
         return poses[frame]
 
-    predictor.node.frames.lookup = lookup
+    predictor.node.people.frames.lookup = lookup
     seen = placed_postures(POSTURE, HUMAN.dof_names, np.linalg.inv(turn_and_shift(0.7, (0.5, -0.3, 0.2))))
     assert predictor.see(0.1, q=seen, frame_id="camera") == ""
     first, second = (occupancy_topics.occupancy_of(cloud, SCENE.grid, 0.0).probability for cloud in clouds)
@@ -233,7 +233,7 @@ def test_a_posture_that_was_overtaken_is_no_hold_and_a_clock_that_goes_back_is(r
     assert {kind(one) for one in said[6:20]} == {"stamp back"}
     said = predictor.stream(1.5, 2.5, ahead_s=-0.9)
     assert said[-1] == "", "taken up again; whoever plans says that it is old"
-    assert "0.9 s behind" in predictor.node.warnings["tracker clock"]
+    assert "0.9 s behind" in predictor.node.warnings["clock of body_0"]
     assert set(predictor.stream(4.0, 4.6)[-5:]) == {""}
     assert [kind(predictor.see(4.7 + k / 30, 4.6)) for k in range(12)][-3:] == ["stamp equal"] * 3
 
@@ -285,7 +285,7 @@ def test_a_clock_that_is_set_back_is_a_hold_and_then_a_new_beginning(ros: Callab
 def test_a_replay_stamps_with_the_time_there_is_after_the_clock_was_set(ros: Callable[..., Any]) -> None:
     node = ros(SkeletonTrackerReplay, {})
     stamps: list[int] = []
-    node.posture_publisher.publish = lambda message: stamps.append(conversions.stamp_ns(message.header.stamp))
+    node.bodies["body_0"][0].publish = lambda message: stamps.append(conversions.stamp_ns(message.header.stamp))
     node.begun, node.begun_s = True, time.monotonic()
     node.begin()
     node.publish_due()
