@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import inspect
 import json
 import math
@@ -185,6 +186,7 @@ def draw_plots(analysis: Analysis) -> list[Plot]:
 def _send_drawn(sender: Connection, keys: Sequence[str], analysis: Analysis) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the first process, which ends this one
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    gc.disable()  # what a copied process throws away may belong to threads that were not copied
     sender.send(_drawn(keys, analysis))
 
 
