@@ -72,7 +72,7 @@ def quaternions(R: FloatArray) -> FloatArray:
     The sign matters to the distance as coded, and is chosen as the authors' library does: w > 0 where the trace is
     positive, elsewhere the component of the largest diagonal element is positive.
     """
-    found = np.roll(Rotation.from_matrix(R).as_quat(), 1, axis=1)
+    found = np.roll(Rotation.from_matrix(np.array(R)).as_quat(), 1, axis=1)
     diagonal = np.diagonal(R, axis1=1, axis2=2)
     which = np.where(diagonal.sum(axis=1) > 0.0, 0, 1 + diagonal.argmax(axis=1))
     signed: FloatArray = found * np.where(found[np.arange(len(R)), which] < 0.0, -1.0, 1.0)[:, None]

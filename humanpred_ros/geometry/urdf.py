@@ -165,7 +165,7 @@ def standing_urdf(text: str, moving: Sequence[str], values: Mapping[str, float],
     stand = ElementTree.SubElement(robot, "joint", name="robot_stands", type="fixed")
     ElementTree.SubElement(stand, "parent", link="world")
     ElementTree.SubElement(stand, "child", link=str(root.get("name")))
-    place(stand, Rotation.from_matrix(T_world_root[:3, :3]), T_world_root[:3, 3])
+    place(stand, Rotation.from_matrix(np.array(T_world_root[:3, :3])), T_world_root[:3, 3])
     return ElementTree.tostring(robot, encoding="unicode")
 
 

@@ -84,7 +84,8 @@ def solid_marker(obstacle: Obstacle, colour: ColorRGBA) -> Marker:
     from scipy.spatial.transform import Rotation  # takes half a second to import
 
     turn = marker.pose.orientation
-    turn.x, turn.y, turn.z, turn.w = Rotation.from_matrix(T[:3, :3]).as_quat().tolist()
+    R = np.array(T[:3, :3])  # older SciPy wants one it may write to
+    turn.x, turn.y, turn.z, turn.w = Rotation.from_matrix(R).as_quat().tolist()
     return marker
 
 

@@ -359,7 +359,7 @@ def _place(handles: Sequence[Any], poses: Sequence[FloatArray] | FloatArray) -> 
     from scipy.spatial.transform import Rotation
 
     T = np.asarray(poses)
-    turns = Rotation.from_matrix(T[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
+    turns = Rotation.from_matrix(np.array(T[:, :3, :3])).as_quat()[:, [3, 0, 1, 2]]
     for handle, place, turn in zip(handles, T[:, :3, 3], turns, strict=True):
         if handle is not None:
             handle.position, handle.wxyz, handle.visible = place, turn, True
