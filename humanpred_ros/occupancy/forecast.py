@@ -54,7 +54,7 @@ class ForecastSettings(SweepSettings):
         high=1e3,
     )
     pace: float = setting(
-        0.5,
+        0.25,
         "share, in logarithms, of the difference between the person's pace and the recorded one that lasts; 0: futures "
         "take the time they took when they were recorded",
         low=0.0,
