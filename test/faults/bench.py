@@ -135,6 +135,7 @@ def _measured(settings: FaultBenchSettings, begin: Begin, rows: list[Row]) -> Re
         if settings.short:  # one graph takes less time to start than two
             chosen = [replace(fault, graph=RELAYED) for fault in chosen]
         travelled_rad = _try_all(chosen, folder, begin, rows)
+    rows.sort(key=lambda row: names.index(row.fault.name))  # they were tried graph by graph
     took_ms = [trial.took_ms for row in rows for trial in row.trials if math.isfinite(trial.took_ms)]
     notes = (
         f"The arm's joints moved {travelled_rad:.1f} rad meanwhile.",
